@@ -1,0 +1,572 @@
+//! A job as clients write it: JSON, Lua, or postcard of the same type.
+//!
+//! Reading checks everything that can be known without a node and names the place of the first
+//! error (`commands[3].move.delay_us: …`). A job is taken whole or not at all.
+
+use crate::{
+    AxisId, Command, JobId,
+    command::{LINE_AXES, Ramp, RampShape},
+    record::{ErrorCode, JobError},
+};
+use serde::{Deserialize, Serialize};
+use std::{
+    format,
+    string::{String, ToString},
+    vec::Vec,
+};
+
+/// Largest payload of a job, bytes.
+pub const JOB_BYTES_MAX: usize = 64 << 20;
+
+/// Most commands in a job.
+pub const JOB_COMMANDS_MAX: usize = 1_000_000;
+
+/// Longest pause, ms: one day.
+pub const PAUSE_MS_MAX: u32 = 86_400_000;
+
+/// Longest name of a barrier, bytes.
+pub const BARRIER_BYTES_MAX: usize = 64;
+
+/// A job as a client asks for it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JobRequest {
+    /// The client's own name for it; makes it idempotent.
+    pub id: Option<JobId>,
+    /// What to do.
+    pub work: Work,
+    /// What to do when the node is not there.
+    pub offline: Offline,
+    /// Longest time from the first command sent to the last pulse, s.
+    pub timeout_s: Option<f64>,
+}
+
+/// What a job does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Work {
+    /// A list of commands.
+    Commands(Vec<JobCommand>),
+    /// A Lua script.
+    Lua(String),
+}
+
+/// What to do with a job for a node that is known but not there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Offline {
+    /// Keep it until the node returns.
+    #[default]
+    Queue,
+    /// Refuse it.
+    Reject,
+}
+
+/// A command as clients write it: `{"move":{"axis":0,"delay_us":500,"steps":-2000}}`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum JobCommand {
+    /// Steps at one interval.
+    Move(MoveFields),
+    /// Two moves that start on the same tick.
+    SyncMove(SyncMoveFields),
+    /// A relative move with ramps.
+    Ramp(RampFields),
+    /// An absolute move with ramps.
+    RampTo(RampToFields),
+    /// A straight line of all axes.
+    Line(LineFields),
+    /// A rest.
+    Pause(PauseFields),
+    /// Laser power.
+    Laser(LaserFields),
+    /// A lidar reading.
+    LidarRead(LidarReadFields),
+    /// Find the reference switch.
+    Home(HomeFields),
+    /// Name the present place.
+    SetPosition(SetPositionFields),
+    /// A meeting point.
+    Barrier(BarrierFields),
+}
+
+macro_rules! fields {
+    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $type:ty,)* }) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            $($(#[$field_doc])* pub $field: $type,)*
+        }
+    };
+}
+
+fields! {
+    /// Fields of `move`.
+    MoveFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Time between steps, µs, from 1.
+        delay_us: u32,
+        /// Steps with sign, never 0.
+        steps: i32,
+    }
+}
+fields! {
+    /// Fields of `sync_move`.
+    SyncMoveFields {
+        /// Time between steps of axes 0 and 1, µs, from 1.
+        delay_us: [u32; 2],
+        /// Steps with sign of axes 0 and 1, never 0.
+        steps: [i32; 2],
+    }
+}
+fields! {
+    /// Fields of `ramp`.
+    RampFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Steps with sign, never 0.
+        steps: i32,
+        /// Speed, Hz, from 1.
+        speed_hz: u32,
+        /// Acceleration, steps/s², from 1.
+        accel: u32,
+        /// Jerk, steps/s³; makes it an S-curve.
+        #[serde(default)]
+        jerk: Option<u32>,
+        /// Steps of linearly growing acceleration.
+        #[serde(default)]
+        linear_steps: u16,
+        /// Steps whose speed the move starts with.
+        #[serde(default)]
+        jump_steps: u16,
+    }
+}
+fields! {
+    /// Fields of `ramp_to`.
+    RampToFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Target, steps.
+        position: i64,
+        /// Speed, Hz, from 1.
+        speed_hz: u32,
+        /// Acceleration, steps/s², from 1.
+        accel: u32,
+        /// Jerk, steps/s³; makes it an S-curve.
+        #[serde(default)]
+        jerk: Option<u32>,
+        /// Steps of linearly growing acceleration.
+        #[serde(default)]
+        linear_steps: u16,
+        /// Steps whose speed the move starts with.
+        #[serde(default)]
+        jump_steps: u16,
+    }
+}
+fields! {
+    /// Fields of `line`.
+    LineFields {
+        /// Steps with sign of each axis from 0 on, one to four of them, not all 0.
+        steps: Vec<i32>,
+        /// Speed of the axis with most steps, Hz, from 1.
+        speed_hz: u32,
+        /// Its acceleration, steps/s², from 1.
+        accel: u32,
+        /// Its jerk, steps/s³.
+        #[serde(default)]
+        jerk: Option<u32>,
+    }
+}
+fields! {
+    /// Fields of `pause`.
+    PauseFields {
+        /// Duration, ms.
+        ms: u32,
+    }
+}
+fields! {
+    /// Fields of `laser`.
+    LaserFields {
+        /// Power, 0 to 100 %.
+        power_percent: u8,
+    }
+}
+fields! {
+    /// `lidar_read` has no fields.
+    LidarReadFields {}
+}
+fields! {
+    /// Fields of `home`.
+    HomeFields {
+        /// Axis number, from 0.
+        axis: u8,
+    }
+}
+fields! {
+    /// Fields of `set_position`.
+    SetPositionFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Its new position, steps.
+        position: i64,
+    }
+}
+fields! {
+    /// Fields of `barrier`.
+    BarrierFields {
+        /// Name of the meeting point, the same in every part that meets there.
+        name: String,
+    }
+}
+
+/// The JSON object, before it is known to be a legal job.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawJob {
+    #[serde(default)]
+    id: Option<String>,
+    #[serde(default)]
+    commands: Option<Vec<JobCommand>>,
+    #[serde(default)]
+    lua: Option<String>,
+    #[serde(default)]
+    offline: Option<Offline>,
+    #[serde(default)]
+    timeout_s: Option<f64>,
+}
+
+/// Finds an id in a job that may be refused, so that its record can be named.
+#[derive(Deserialize)]
+struct OnlyId {
+    id: Option<JobId>,
+}
+
+impl JobRequest {
+    /// Reads a job from JSON and checks it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with its place.
+    pub fn from_json(payload: &[u8]) -> Result<Self, JobError> {
+        if payload.len() > JOB_BYTES_MAX {
+            return Err(too_large_bytes(payload.len()));
+        }
+        let mut reader = serde_json::Deserializer::from_slice(payload);
+        let raw: RawJob = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+            let place = error.path().to_string();
+            json_error(&place, error.inner())
+        })?;
+        reader.end().map_err(|error| json_error(".", &error))?;
+        let id = match raw.id {
+            None => None,
+            Some(text) => Some(
+                JobId::new(&text)
+                    .map_err(|error| JobError::new(ErrorCode::BadId, format!("id: {error}")))?,
+            ),
+        };
+        let work = match (raw.commands, raw.lua) {
+            (Some(commands), None) => Work::Commands(commands),
+            (None, Some(script)) => Work::Lua(script),
+            (None, None) => {
+                let message = "a job needs `commands` or `lua`";
+                return Err(JobError::new(ErrorCode::BadJson, message));
+            }
+            (Some(_), Some(_)) => {
+                let message = "a job has either `commands` or `lua`, not both";
+                return Err(JobError::new(ErrorCode::BadJson, message));
+            }
+        };
+        let request = Self {
+            id,
+            work,
+            offline: raw.offline.unwrap_or_default(),
+            timeout_s: raw.timeout_s,
+        };
+        request.check()?;
+        Ok(request)
+    }
+
+    /// Reads a job from postcard (version byte and message) and checks it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong.
+    pub fn from_postcard(payload: &[u8]) -> Result<Self, JobError> {
+        if payload.len() > JOB_BYTES_MAX {
+            return Err(too_large_bytes(payload.len()));
+        }
+        let request: Self = crate::version::decode(payload).map_err(|error| {
+            JobError::new(
+                ErrorCode::BadJson,
+                format!("no postcard JobRequest: {error}"),
+            )
+        })?;
+        request.check()?;
+        Ok(request)
+    }
+
+    /// Returns the id that a job's JSON gives, even if the rest of it is wrong.
+    pub fn id_of_json(payload: &[u8]) -> Option<JobId> {
+        serde_json::from_slice::<OnlyId>(payload).ok()?.id
+    }
+
+    /// Checks what the types do not.
+    ///
+    /// # Errors
+    /// The first value that is out of range, with its place.
+    pub fn check(&self) -> Result<(), JobError> {
+        if let Some(timeout_s) = self.timeout_s
+            && !(timeout_s > 0.0 && timeout_s.is_finite())
+        {
+            let message = format!("timeout_s: {timeout_s} is not a time; it must be more than 0");
+            return Err(JobError::new(ErrorCode::BadJson, message));
+        }
+        if let Work::Commands(commands) = &self.work {
+            if commands.is_empty() {
+                return Err(JobError::new(
+                    ErrorCode::BadCommand,
+                    "commands: the list is empty",
+                ));
+            }
+            if commands.len() > JOB_COMMANDS_MAX {
+                let message = format!(
+                    "commands: {} of them; a job has at most {JOB_COMMANDS_MAX}",
+                    commands.len()
+                );
+                return Err(JobError::new(ErrorCode::TooLarge, message));
+            }
+            for (index, command) in commands.iter().enumerate() {
+                command.check().map_err(|error| error.at(index))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is wrong with a command, without its index.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CommandError {
+    /// The command's word and the field: `move.delay_us`.
+    pub place: String,
+    /// What is wrong there.
+    pub message: String,
+}
+
+impl CommandError {
+    /// Makes it the error of the command at this index of its job.
+    pub fn at(&self, index: usize) -> JobError {
+        let Self { place, message } = self;
+        JobError::new(
+            ErrorCode::BadCommand,
+            format!("commands[{index}].{place}: {message}"),
+        )
+    }
+}
+
+impl JobCommand {
+    /// Returns the word that names the command in JSON.
+    pub const fn word(&self) -> &'static str {
+        match self {
+            Self::Move(_) => "move",
+            Self::SyncMove(_) => "sync_move",
+            Self::Ramp(_) => "ramp",
+            Self::RampTo(_) => "ramp_to",
+            Self::Line(_) => "line",
+            Self::Pause(_) => "pause",
+            Self::Laser(_) => "laser",
+            Self::LidarRead(_) => "lidar_read",
+            Self::Home(_) => "home",
+            Self::SetPosition(_) => "set_position",
+            Self::Barrier(_) => "barrier",
+        }
+    }
+
+    fn error(&self, field: &str, message: impl Into<String>) -> CommandError {
+        let word = self.word();
+        let place = if field.is_empty() {
+            word.into()
+        } else {
+            format!("{word}.{field}")
+        };
+        CommandError {
+            place,
+            message: message.into(),
+        }
+    }
+
+    /// Checks the ranges that the types do not.
+    ///
+    /// # Errors
+    /// The first value that is out of range, with its place in the command.
+    pub fn check(&self) -> Result<(), CommandError> {
+        let delay = |field: &str, delay_us: u32| match delay_us {
+            0 => Err(self.error(field, "0 is out of range; it must be at least 1 µs")),
+            _ => Ok(()),
+        };
+        let steps = |field: &str, steps: i32| match steps {
+            0 => Err(self.error(field, "0 steps move nothing; it must not be 0")),
+            i32::MIN => Err(self.error(field, "out of range; at most 2147483647 steps either way")),
+            _ => Ok(()),
+        };
+        let positive = |field: &str, value: u32| match value {
+            0 => Err(self.error(field, "0 is out of range; it must be at least 1")),
+            _ => Ok(()),
+        };
+        let shape = |jerk: Option<u32>, linear_steps: u16, jump_steps: u16| match jerk {
+            Some(0) => Err(self.error("jerk", "0 is out of range; leave it out for no limit")),
+            Some(_) if linear_steps != 0 || jump_steps != 0 => {
+                Err(self.error("jerk", "cannot be combined with linear_steps or jump_steps"))
+            }
+            _ => Ok(()),
+        };
+        match self {
+            Self::Move(fields) => {
+                delay("delay_us", fields.delay_us)?;
+                steps("steps", fields.steps)
+            }
+            Self::SyncMove(fields) => {
+                for index in 0..2 {
+                    delay(&format!("delay_us[{index}]"), fields.delay_us[index])?;
+                    steps(&format!("steps[{index}]"), fields.steps[index])?;
+                }
+                Ok(())
+            }
+            Self::Ramp(fields) => {
+                steps("steps", fields.steps)?;
+                positive("speed_hz", fields.speed_hz)?;
+                positive("accel", fields.accel)?;
+                shape(fields.jerk, fields.linear_steps, fields.jump_steps)
+            }
+            Self::RampTo(fields) => {
+                positive("speed_hz", fields.speed_hz)?;
+                positive("accel", fields.accel)?;
+                shape(fields.jerk, fields.linear_steps, fields.jump_steps)
+            }
+            Self::Line(fields) => {
+                if fields.steps.is_empty() || fields.steps.len() > LINE_AXES {
+                    let message =
+                        format!("{} axes; it must be 1 to {LINE_AXES}", fields.steps.len());
+                    return Err(self.error("steps", message));
+                }
+                if fields.steps.contains(&i32::MIN) {
+                    return Err(self.error("steps", "at most 2147483647 steps either way"));
+                }
+                if fields.steps.iter().all(|count| *count == 0) {
+                    return Err(self.error("steps", "all 0: nothing would move"));
+                }
+                positive("speed_hz", fields.speed_hz)?;
+                positive("accel", fields.accel)?;
+                shape(fields.jerk, 0, 0)
+            }
+            Self::Pause(fields) if fields.ms > PAUSE_MS_MAX => {
+                let message = format!(
+                    "{} is out of range; at most {PAUSE_MS_MAX} (a day)",
+                    fields.ms
+                );
+                Err(self.error("ms", message))
+            }
+            Self::Laser(fields) if fields.power_percent > 100 => {
+                let message = format!("{} is out of range; 0 to 100", fields.power_percent);
+                Err(self.error("power_percent", message))
+            }
+            Self::Barrier(fields)
+                if fields.name.is_empty() || fields.name.len() > BARRIER_BYTES_MAX =>
+            {
+                Err(self.error("name", format!("must have 1 to {BARRIER_BYTES_MAX} bytes")))
+            }
+            Self::Pause(_)
+            | Self::Laser(_)
+            | Self::LidarRead(_)
+            | Self::Home(_)
+            | Self::SetPosition(_)
+            | Self::Barrier(_) => Ok(()),
+        }
+    }
+
+    /// Returns the command as a node takes it. `barrier_from_name` numbers the meeting points.
+    pub fn to_command(&self, barrier_from_name: impl FnOnce(&str) -> u16) -> Command {
+        let shape = |jerk: Option<u32>, linear_steps, jump_steps| match jerk {
+            Some(jerk_hz_per_s2) => RampShape::Jerk { jerk_hz_per_s2 },
+            None => RampShape::Trapezoid {
+                linear_steps,
+                jump_steps,
+            },
+        };
+        match self {
+            Self::Move(f) => Command::Move {
+                axis: AxisId(f.axis),
+                delay_us: f.delay_us,
+                steps: f.steps,
+            },
+            Self::SyncMove(f) => Command::SyncMove {
+                delay_us: f.delay_us,
+                steps: f.steps,
+            },
+            Self::Ramp(f) => Command::Ramp {
+                axis: AxisId(f.axis),
+                steps: f.steps,
+                ramp: Ramp {
+                    speed_hz: f.speed_hz,
+                    accel_hz_per_s: f.accel,
+                    shape: shape(f.jerk, f.linear_steps, f.jump_steps),
+                },
+            },
+            Self::RampTo(f) => Command::RampTo {
+                axis: AxisId(f.axis),
+                position_steps: f.position,
+                ramp: Ramp {
+                    speed_hz: f.speed_hz,
+                    accel_hz_per_s: f.accel,
+                    shape: shape(f.jerk, f.linear_steps, f.jump_steps),
+                },
+            },
+            Self::Line(f) => {
+                let mut steps = [0; LINE_AXES];
+                for (to, from) in steps.iter_mut().zip(&f.steps) {
+                    *to = *from;
+                }
+                Command::Line {
+                    steps,
+                    speed_hz: f.speed_hz,
+                    accel_hz_per_s: f.accel,
+                    jerk_hz_per_s2: f.jerk.unwrap_or(0),
+                }
+            }
+            Self::Pause(f) => Command::Pause { pause_ms: f.ms },
+            Self::Laser(f) => Command::Laser {
+                power_percent: f.power_percent,
+            },
+            Self::LidarRead(_) => Command::LidarRead,
+            Self::Home(f) => Command::Home {
+                axis: AxisId(f.axis),
+            },
+            Self::SetPosition(f) => Command::SetPosition {
+                axis: AxisId(f.axis),
+                position_steps: f.position,
+            },
+            Self::Barrier(f) => Command::Barrier {
+                barrier: barrier_from_name(&f.name),
+            },
+        }
+    }
+}
+
+fn too_large_bytes(byte_count: usize) -> JobError {
+    let message = format!("{byte_count} bytes; a job has at most {JOB_BYTES_MAX}");
+    JobError::new(ErrorCode::TooLarge, message)
+}
+
+/// Turns serde's message into ours: the place first, line and column last.
+fn json_error(place: &str, error: &serde_json::Error) -> JobError {
+    use serde_json::error::Category;
+    let in_commands = place.starts_with("commands[");
+    let code = match error.classify() {
+        Category::Data if in_commands => ErrorCode::BadCommand,
+        _ => ErrorCode::BadJson,
+    };
+    // An unknown field's path ends in the field itself; serde's words name it again.
+    let message = if place == "." || place.is_empty() || place == "?" {
+        error.to_string()
+    } else {
+        format!("{place}: {error}")
+    };
+    JobError::new(code, message)
+}

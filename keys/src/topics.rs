@@ -1,0 +1,81 @@
+//! The topic table: every key below `PREFIX/node/NODE/`, what travels on it, who says it.
+//!
+//! | topic | payload | direction | priority | when the way is full |
+//! |---|---|---|---|---|
+//! | `job` | job text (JSON, Lua, postcard) | client → gateway | data | block |
+//! | `state` | node record, JSON | gateway → client | data | drop (the next is complete) |
+//! | `stop` | empty or `{"mode":…}` | client → node and gateway | real-time | block |
+//! | `release` | empty | client → gateway | data | block |
+//! | `log` | one line of text | node → client | background | drop |
+//! | `status` | [`Status`](crate::Status) | node → all | data-high | drop (the next is complete) |
+//! | `batch` | [`Order`](crate::Order) | gateway → node | data | block; bounded by credit |
+//! | `ack` | [`BatchAck`](crate::BatchAck) | node → gateway | data-high | block |
+//! | `clock` | [`ClockMessage`](crate::clock::ClockMessage) | both | real-time | drop |
+//! | `start` | [`StartMessage`](crate::start::StartMessage) | both | real-time | block |
+//! | `alive` | none | node → all, liveliness token | – | – |
+
+/// What is said below one node's key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum NodeTopic {
+    /// A job for the node.
+    Job,
+    /// The node record, JSON.
+    State,
+    /// The stop.
+    Stop,
+    /// Lifts the stop latch.
+    Release,
+    /// One line of text.
+    Log,
+    /// What the node knows about itself.
+    Status,
+    /// Orders of the gateway.
+    Batch,
+    /// The node's answer to an order.
+    Ack,
+    /// Clock probes and replies.
+    Clock,
+    /// Synchronized starts.
+    Start,
+    /// The liveliness token.
+    Alive,
+}
+
+impl NodeTopic {
+    /// Every topic, in the order of the table.
+    pub const ALL: [Self; 11] = [
+        Self::Job,
+        Self::State,
+        Self::Stop,
+        Self::Release,
+        Self::Log,
+        Self::Status,
+        Self::Batch,
+        Self::Ack,
+        Self::Clock,
+        Self::Start,
+        Self::Alive,
+    ];
+
+    /// Returns the last chunk of the key.
+    pub const fn suffix(self) -> &'static str {
+        match self {
+            Self::Job => "job",
+            Self::State => "state",
+            Self::Stop => "stop",
+            Self::Release => "release",
+            Self::Log => "log",
+            Self::Status => "status",
+            Self::Batch => "batch",
+            Self::Ack => "ack",
+            Self::Clock => "clock",
+            Self::Start => "start",
+            Self::Alive => "alive",
+        }
+    }
+
+    /// Returns the topic with this last chunk.
+    pub fn from_suffix(suffix: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|topic| topic.suffix() == suffix)
+    }
+}

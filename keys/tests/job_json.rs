@@ -1,0 +1,216 @@
+//! Job text: what is taken, and the exact words for what is not.
+#![cfg(feature = "json")]
+
+use keys::{
+    Command,
+    job::{JobRequest, Offline, Work},
+    record::{ErrorCode, JobRecord},
+};
+
+const EVERY_COMMAND: &str = r#"{"id":"part-0815", "commands":[
+  {"move":{"axis":0,"delay_us":500,"steps":-2000}},
+  {"sync_move":{"delay_us":[500,1000],"steps":[2000,1000]}},
+  {"ramp":{"axis":0,"steps":1000,"speed_hz":500,"accel":100}},
+  {"ramp_to":{"axis":0,"position":0,"speed_hz":500,"accel":100,"linear_steps":50,"jump_steps":0}},
+  {"line":{"steps":[10000,4000],"speed_hz":5000,"accel":10000,"jerk":100000}},
+  {"pause":{"ms":100}}, {"laser":{"power_percent":50}}, {"lidar_read":{}},
+  {"home":{"axis":2}}, {"set_position":{"axis":0,"position":0}}, {"barrier":{"name":"layer-2"}} ]}"#;
+
+#[test]
+fn the_example_of_the_contract_is_taken() {
+    let job = JobRequest::from_json(EVERY_COMMAND.as_bytes()).expect("legal");
+    assert_eq!(
+        job.id.map(|id| id.as_str().to_owned()),
+        Some("part-0815".to_owned())
+    );
+    assert_eq!(job.offline, Offline::Queue);
+    let Work::Commands(commands) = &job.work else {
+        panic!("commands were given")
+    };
+    assert_eq!(commands.len(), 11);
+    let mut barriers = Vec::new();
+    for command in commands {
+        let command = command.to_command(|name| {
+            barriers.push(name.to_owned());
+            7
+        });
+        assert_eq!(Command::from_words(&command.to_words()), Ok(command));
+    }
+    assert_eq!(barriers, ["layer-2"]);
+}
+
+#[test]
+fn the_same_job_survives_postcard() {
+    let job = JobRequest::from_json(EVERY_COMMAND.as_bytes()).expect("legal");
+    let mut buffer = [0; 1024];
+    let bytes = keys::version::encode(&job, &mut buffer).expect("fits");
+    assert_eq!(JobRequest::from_postcard(bytes), Ok(job));
+}
+
+#[test]
+fn optional_fields_are_read() {
+    let text = br#"{"lua":"x = 1","offline":"reject","timeout_s":1.5}"#;
+    let job = JobRequest::from_json(text).expect("legal");
+    assert_eq!(job.work, Work::Lua("x = 1".into()));
+    assert_eq!((job.offline, job.timeout_s), (Offline::Reject, Some(1.5)));
+}
+
+fn refused(text: &str) -> (ErrorCode, String) {
+    let error = JobRequest::from_json(text.as_bytes()).expect_err(text);
+    (error.code, error.message)
+}
+
+#[test]
+fn everything_wrong_is_named_with_its_place() {
+    use ErrorCode::{BadCommand, BadId, BadJson};
+    let command = |command: &str| format!(r#"{{"commands":[{{"lidar_read":{{}}}},{command}]}}"#);
+    let cases: &[(String, ErrorCode, &str)] = &[
+        ("".into(), BadJson, "EOF while parsing"),
+        ("{".into(), BadJson, "EOF while parsing"),
+        ("[]".into(), BadJson, ""),
+        ("{}".into(), BadJson, "a job needs `commands` or `lua`"),
+        (r#"{"commands":[],"lua":""}"#.into(), BadJson, "not both"),
+        (
+            r#"{"commands":[]}"#.into(),
+            BadCommand,
+            "commands: the list is empty",
+        ),
+        (r#"{"lua":"","x":1}"#.into(), BadJson, "unknown field `x`"),
+        (r#"{"lua":""} x"#.into(), BadJson, "trailing characters"),
+        (
+            r#"{"lua":"","id":"A"}"#.into(),
+            BadId,
+            "id: a name consists of",
+        ),
+        (r#"{"lua":"","id":7}"#.into(), BadJson, "id: invalid type"),
+        (
+            r#"{"lua":"","timeout_s":0}"#.into(),
+            BadJson,
+            "timeout_s: 0 is not a time",
+        ),
+        (
+            r#"{"lua":"","offline":"maybe"}"#.into(),
+            BadJson,
+            "offline: unknown variant `maybe`",
+        ),
+        (command(r#"{"mvoe":{}}"#), BadCommand, "commands[1]"),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":500}}"#),
+            BadCommand,
+            "commands[1].move: missing field `steps`",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":-1,"steps":1}}"#),
+            BadCommand,
+            "commands[1].move.delay_us: invalid value: integer `-1`, expected u32",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1.5,"steps":1}}"#),
+            BadCommand,
+            "commands[1].move.delay_us: invalid type: floating point `1.5`",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":0,"steps":1}}"#),
+            BadCommand,
+            "commands[1].move.delay_us: 0 is out of range",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1,"steps":0}}"#),
+            BadCommand,
+            "commands[1].move.steps: 0 steps move nothing",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1,"steps":-2147483648}}"#),
+            BadCommand,
+            "commands[1].move.steps: out of range",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1,"steps":2147483648}}"#),
+            BadCommand,
+            "commands[1].move.steps: invalid value",
+        ),
+        (
+            command(r#"{"move":{"axis":256,"delay_us":1,"steps":1}}"#),
+            BadCommand,
+            "commands[1].move.axis: invalid value",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1,"steps":1,"speed":1}}"#),
+            BadCommand,
+            "unknown field `speed`",
+        ),
+        (
+            command(r#"{"sync_move":{"delay_us":[1],"steps":[1,1]}}"#),
+            BadCommand,
+            "commands[1].sync_move.delay_us",
+        ),
+        (
+            command(r#"{"sync_move":{"delay_us":[1,0],"steps":[1,1]}}"#),
+            BadCommand,
+            "commands[1].sync_move.delay_us[1]: 0",
+        ),
+        (
+            command(r#"{"ramp":{"axis":0,"steps":1,"speed_hz":0,"accel":1}}"#),
+            BadCommand,
+            "commands[1].ramp.speed_hz: 0 is out of range",
+        ),
+        (
+            command(r#"{"line":{"steps":[],"speed_hz":1,"accel":1}}"#),
+            BadCommand,
+            "commands[1].line.steps: 0 axes",
+        ),
+        (
+            command(r#"{"laser":{"power_percent":101}}"#),
+            BadCommand,
+            "commands[1].laser.power_percent: 101 is out of range",
+        ),
+        (
+            command(r#"{"pause":{"ms":86400001}}"#),
+            BadCommand,
+            "commands[1].pause.ms: 86400001 is out of range",
+        ),
+        (
+            command(r#"{"lidar_read":{"x":1}}"#),
+            BadCommand,
+            "commands[1].lidar_read",
+        ),
+        (
+            command(r#"{"barrier":{"name":""}}"#),
+            BadCommand,
+            "commands[1].barrier.name",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":1,"steps":1},"laser":{}}"#),
+            BadJson,
+            "",
+        ),
+    ];
+    for (text, code, words) in cases {
+        let (found, message) = refused(text);
+        assert!(
+            message.contains(words),
+            "{text}\n  said    {message}\n  without {words}"
+        );
+        if !words.is_empty() {
+            assert_eq!(found, *code, "{text}: {message}");
+        }
+    }
+}
+
+#[test]
+fn a_refused_job_still_tells_its_id() {
+    let text = br#"{"id":"part-1","commands":[{"move":{}}]}"#;
+    assert!(JobRequest::from_json(text).is_err());
+    assert_eq!(
+        JobRequest::id_of_json(text).map(|id| id.as_str().to_owned()),
+        Some("part-1".into())
+    );
+    assert_eq!(JobRequest::id_of_json(br#"{"id":"NO"}"#), None);
+}
+
+#[test]
+fn a_record_reads_as_the_contract_writes_it() {
+    let text = r#"{"job":"cut-7","node":"left","group":null,"state":"running","version":3,"created":"2026-11-21T03:00:00.123000Z","updated":"2026-11-21T03:00:01.000000Z","progress":{"done":1200,"total":4000},"error":null,"result":null,"parts":null}"#;
+    let record: JobRecord = serde_json::from_str(text).expect("legal");
+    assert_eq!(serde_json::to_string(&record).expect("JSON"), text);
+}
