@@ -1,0 +1,99 @@
+//! The clock of an emulated node: off by an offset, too fast or too slow, and able to jump.
+//!
+//! A node's clock never runs backwards, so a jump leads forwards only. All arithmetic is integer,
+//! so that the same settings give the same microseconds everywhere.
+
+use keys::LocalMicros;
+
+/// Local time as a function of real time, both in µs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LocalClock {
+    /// Since when the line below holds.
+    anchor_real_us: u64,
+    /// What the clock showed then.
+    anchor_local_us: u64,
+    drift_ppb: i64,
+}
+
+/// Billionths.
+const PPB: i128 = 1_000_000_000;
+
+/// Largest drift either way: a crystal is ten thousand times better.
+pub const DRIFT_PPB_MAX: i64 = 500_000_000;
+
+impl LocalClock {
+    /// Makes a clock that shows `offset_us` at the real time `boot_real_us` and from then on gains
+    /// `drift_ppb` nanoseconds a second, cut to ±[`DRIFT_PPB_MAX`].
+    pub fn new(boot_real_us: u64, offset_us: u64, drift_ppb: i64) -> Self {
+        Self {
+            anchor_real_us: boot_real_us,
+            anchor_local_us: offset_us,
+            drift_ppb: drift_ppb.clamp(-DRIFT_PPB_MAX, DRIFT_PPB_MAX),
+        }
+    }
+
+    /// Returns what the clock shows at this real time; before its boot, what it showed then.
+    pub fn local_from_real(&self, real_us: u64) -> LocalMicros {
+        let passed = i128::from(real_us.saturating_sub(self.anchor_real_us));
+        let local = passed * (PPB + i128::from(self.drift_ppb)) / PPB;
+        LocalMicros(
+            self.anchor_local_us
+                .saturating_add(u64::try_from(local).unwrap_or(u64::MAX)),
+        )
+    }
+
+    /// Returns the first real microsecond at which the clock shows at least `local`.
+    pub fn real_from_local(&self, local: LocalMicros) -> u64 {
+        let passed = i128::from(local.0.saturating_sub(self.anchor_local_us));
+        let rate = PPB + i128::from(self.drift_ppb);
+        let real = (passed * PPB + rate - 1) / rate;
+        self.anchor_real_us
+            .saturating_add(u64::try_from(real).unwrap_or(u64::MAX))
+    }
+
+    /// Lets the clock jump ahead at this real time.
+    pub fn jump(&mut self, real_us: u64, ahead_us: u64) {
+        let local = self.local_from_real(real_us);
+        self.anchor_real_us = real_us.max(self.anchor_real_us);
+        self.anchor_local_us = local.0.saturating_add(ahead_us);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_of_50_ppm_gains_180_ms_an_hour() {
+        let clock = LocalClock::new(1_000, 5_000_000, 50_000);
+        let hour = 3_600_000_000;
+        assert_eq!(clock.local_from_real(1_000).0, 5_000_000);
+        assert_eq!(
+            clock.local_from_real(1_000 + hour).0,
+            5_000_000 + hour + 180_000
+        );
+    }
+
+    #[test]
+    fn the_two_directions_agree() {
+        for drift_ppb in [-DRIFT_PPB_MAX, -37, 0, 37, 20_000, DRIFT_PPB_MAX] {
+            let clock = LocalClock::new(77, 12_345, drift_ppb);
+            for real_us in (77..2_000_000_000).step_by(7_654_321) {
+                let local = clock.local_from_real(real_us);
+                let first = clock.real_from_local(local);
+                assert!(first <= real_us, "{drift_ppb}");
+                assert_eq!(clock.local_from_real(first), local, "{drift_ppb}");
+                assert!(first == 77 || clock.local_from_real(first - 1) < local);
+            }
+        }
+    }
+
+    #[test]
+    fn a_jump_leads_ahead_and_the_rate_stays() {
+        let mut clock = LocalClock::new(0, 0, 0);
+        clock.jump(1_000, 500);
+        assert_eq!(clock.local_from_real(1_000).0, 1_500);
+        assert_eq!(clock.local_from_real(2_000).0, 2_500);
+        assert_eq!(clock.real_from_local(LocalMicros(2_500)), 2_000);
+    }
+}

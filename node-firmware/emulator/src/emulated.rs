@@ -1,0 +1,407 @@
+//! One emulated node without any waiting: bytes and times in, bytes and edges out.
+//!
+//! Owns the ring's memory, the virtual pulse unit and the same [`Node`] as the board, and records
+//! what went in and what the pins did. For virtual time use it directly; `wall.rs` drives it on a
+//! real clock.
+
+use crate::{
+    config::{EmulatorConfig, Recording},
+    memory::RingMemory,
+    pulse::VirtualRmt,
+    record::{Life, TakenCommand},
+    vcd::VcdWriter,
+};
+use keys::{
+    AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
+};
+use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
+use std::{
+    io::{self, Write},
+    mem,
+};
+
+/// Time that the emulated lidar takes for a reading.
+pub const LIDAR_US: u64 = 20_000;
+
+/// Past boots that are kept. More: the oldest is forgotten.
+pub const PAST_LIVES_MAX: usize = 64;
+
+/// The laser and lidar of an emulated node.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Bench {
+    laser_percent: u8,
+    lidar_requested: bool,
+}
+
+impl Bench {
+    /// Returns the laser's power, percent.
+    pub fn laser_percent(&self) -> u8 {
+        self.laser_percent
+    }
+}
+
+impl Outputs for Bench {
+    fn set_laser(&mut self, power_percent: u8) {
+        self.laser_percent = power_percent;
+    }
+
+    fn request_lidar(&mut self) {
+        self.lidar_requested = true;
+    }
+}
+
+/// The node inside an [`EmulatedNode`].
+pub type InnerNode = Node<'static, VirtualRmt, Bench>;
+
+/// See the module.
+pub struct EmulatedNode {
+    // Declared before `memory`, so dropped before the memory is handed on.
+    node: InnerNode,
+    memory: RingMemory,
+    config: EmulatorConfig,
+    boots: u64,
+    lidar_due: Option<LocalMicros>,
+    lidar_readings: u64,
+    commands: Vec<TakenCommand>,
+    stops: Vec<keys::StopReport>,
+    edges: Vec<crate::pins::PinEvent>,
+    cut: bool,
+    past: Vec<Life>,
+    vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
+    vcd_error: Option<io::Error>,
+}
+
+impl std::fmt::Debug for EmulatedNode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EmulatedNode")
+            .field("name", &self.config.name)
+            .field("status", &self.node.status())
+            .finish_non_exhaustive()
+    }
+}
+
+impl EmulatedNode {
+    /// Boots a node: its time begins at 0, its link is down, its positions are 0. `boot` is the
+    /// random number that tells boots apart.
+    pub fn new(config: EmulatorConfig, boot: u32) -> Self {
+        let memory = RingMemory::take(config.ring_commands * COMMAND_WORDS);
+        Self {
+            node: boot_node(&memory, &config, boot, 0),
+            memory,
+            config,
+            boots: 1,
+            lidar_due: None,
+            lidar_readings: 0,
+            commands: Vec::new(),
+            stops: Vec::new(),
+            edges: Vec::new(),
+            cut: false,
+            past: Vec::new(),
+            vcd: None,
+            vcd_error: None,
+        }
+    }
+
+    /// Writes the pins of this boot as a value change dump from now on.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn dump_to(&mut self, out: Box<dyn Write + Send>) -> io::Result<()> {
+        let vcd = VcdWriter::new(out, &self.config.name, self.node.motion().axis_count())?;
+        self.vcd = Some(vcd);
+        self.node.motion_mut().backend_mut().record_edges(true);
+        Ok(())
+    }
+
+    /// Ends the value change dump and tells whether it is whole.
+    ///
+    /// # Errors
+    /// The first error of its `out` since [`EmulatedNode::dump_to`].
+    pub fn finish_dump(&mut self) -> io::Result<()> {
+        if let Some(error) = self.vcd_error.take() {
+            self.vcd = None;
+            return Err(error);
+        }
+        let at_ticks = self.node.status().at.0 * motion::TICKS_PER_US;
+        self.vcd.take().map_or(Ok(()), |vcd| vcd.finish(at_ticks))
+    }
+
+    /// Returns its name.
+    pub fn name(&self) -> NodeId {
+        self.config.name
+    }
+
+    /// Returns its settings.
+    pub fn config(&self) -> &EmulatorConfig {
+        &self.config
+    }
+
+    /// Takes a message on one of the node's keys.
+    pub fn handle(&mut self, topic: NodeTopic, payload: &[u8], now: LocalMicros) {
+        let queue = self.node.queue();
+        let accepted = self.node.motion().accepted_commands();
+        self.inbound(Inbound::Message { topic, payload }, now);
+        if topic == NodeTopic::Batch && self.node.queue() == queue {
+            self.record_taken(payload, accepted, now);
+        }
+    }
+
+    /// Takes anything else that comes in.
+    pub fn inbound(&mut self, inbound: Inbound<'_>, now: LocalMicros) {
+        self.node.handle(now, inbound);
+        self.observe(now);
+    }
+
+    /// Connects or cuts the link.
+    pub fn link(&mut self, up: bool, now: LocalMicros) {
+        let inbound = if up {
+            Inbound::LinkUp
+        } else {
+            Inbound::LinkDown
+        };
+        self.inbound(inbound, now);
+    }
+
+    /// Presses or frees the stop input.
+    pub fn stop_pin(&mut self, active: bool, now: LocalMicros) {
+        self.inbound(Inbound::StopPin { active }, now);
+    }
+
+    /// Lets the node find this fault, as the board would.
+    pub fn fault(&mut self, code: keys::status::FaultCode, now: LocalMicros) {
+        self.node.fault(code, now);
+        self.observe(now);
+    }
+
+    /// Lets time pass.
+    pub fn poll(&mut self, now: LocalMicros) {
+        if self.lidar_due.is_some_and(|due| due <= now) {
+            self.lidar_due = None;
+            self.lidar_readings += 1;
+            // Half a metre to two and a half.
+            let mm = 500 + splitmix(self.config.seed ^ self.lidar_readings) % 2_000;
+            self.node.handle(now, Inbound::Lidar { mm: mm as u32 });
+        }
+        self.node.poll(now);
+        self.observe(now);
+    }
+
+    /// Returns when [`EmulatedNode::poll`] has something to do next.
+    pub fn poll_timeout(&self) -> Option<LocalMicros> {
+        [self.node.poll_timeout(), self.lidar_due]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    /// Gives the next message that leaves; `None` if there is none or no link.
+    pub fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
+        self.node.poll_outbox(now)
+    }
+
+    /// Gives every message that leaves now.
+    pub fn outbox(&mut self, now: LocalMicros) -> Vec<Outbound> {
+        std::iter::from_fn(|| self.node.poll_outbox(now)).collect()
+    }
+
+    /// Cuts the power and boots again with this random number: queue, latch and positions are
+    /// lost, its time begins at 0, the link is down.
+    pub fn reset(&mut self, boot: u32) {
+        if let Some(vcd) = self.vcd.as_mut()
+            && let Err(error) = vcd.flush()
+        {
+            self.vcd_error.get_or_insert(error);
+        }
+        // Ticks begin at 0 again, which a dump cannot show.
+        self.vcd = None;
+        let life = self.take_life();
+        if self.past.len() == PAST_LIVES_MAX {
+            self.past.remove(0);
+        }
+        self.past.push(life);
+        self.node = boot_node(&self.memory, &self.config, boot, self.boots);
+        self.boots += 1;
+        self.lidar_due = None;
+    }
+
+    /// Returns what the node says about itself.
+    pub fn status(&self) -> Status {
+        self.node.status()
+    }
+
+    /// Returns the exact position of an axis, as the node knows it.
+    pub fn position_steps(&self, axis: AxisId) -> i64 {
+        self.node.motion().position_steps(axis)
+    }
+
+    /// Returns the emulated pulse counter of an axis: steps with sign since boot, counted at the
+    /// pins.
+    pub fn step_count(&self, axis: AxisId) -> i64 {
+        self.node.motion().backend().step_count(axis)
+    }
+
+    /// Returns the node itself, to look at.
+    pub fn node(&self) -> &InnerNode {
+        &self.node
+    }
+
+    /// Returns the record of this boot so far. Copies it.
+    pub fn life(&self) -> Life {
+        Life {
+            boot: self.node.queue().boot,
+            axis_count: self.node.motion().axis_count(),
+            commands: self.commands.clone(),
+            stops: self.stops.clone(),
+            edges: self.edges.clone(),
+            cut: self.cut,
+            counted_steps: self.counted_steps(),
+            status: self.status(),
+        }
+    }
+
+    /// Returns the records of the boots before, oldest first.
+    pub fn past_lives(&self) -> &[Life] {
+        &self.past
+    }
+
+    /// Gives the records of all boots, oldest first, and forgets them.
+    pub fn take_lives(&mut self) -> Vec<Life> {
+        let last = self.take_life();
+        self.past.push(last);
+        mem::take(&mut self.past)
+    }
+
+    fn take_life(&mut self) -> Life {
+        Life {
+            boot: self.node.queue().boot,
+            axis_count: self.node.motion().axis_count(),
+            commands: mem::take(&mut self.commands),
+            stops: mem::take(&mut self.stops),
+            edges: mem::take(&mut self.edges),
+            cut: mem::take(&mut self.cut),
+            counted_steps: self.counted_steps(),
+            status: self.status(),
+        }
+    }
+
+    fn counted_steps(&self) -> Vec<i64> {
+        (0..self.node.motion().axis_count())
+            .map(|axis| self.step_count(AxisId(axis as u8)))
+            .collect()
+    }
+
+    /// Notes the commands that went into the ring, now that it has more than `accepted_before`.
+    fn record_taken(&mut self, payload: &[u8], accepted_before: u64, now: LocalMicros) {
+        let Recording::Edges { max } = self.config.record else {
+            return;
+        };
+        if self.cut || self.node.motion().accepted_commands() == accepted_before {
+            return;
+        }
+        let Ok(mut reader) = BatchReader::new(payload) else {
+            return;
+        };
+        let Order::Batch(header) = *reader.order() else {
+            return;
+        };
+        if self.commands.len() + usize::from(header.command_count) > max {
+            self.cut = true;
+            return;
+        }
+        let mut number = header.first_command;
+        while let Ok(Some(command)) = reader.next_command() {
+            self.commands.push(TakenCommand {
+                at: now,
+                queue: header.queue,
+                number,
+                command,
+            });
+            number += 1;
+        }
+    }
+
+    /// Notes what the last call did.
+    fn observe(&mut self, now: LocalMicros) {
+        if mem::take(&mut self.node.outputs_mut().lidar_requested) {
+            self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
+        }
+        if self.config.record != Recording::Off
+            && let Some(stop) = self.node.last_stop()
+            && self.stops.last() != Some(stop)
+        {
+            self.stops.push(stop.clone());
+        }
+        if self.config.record == Recording::Off && self.vcd.is_none() {
+            return;
+        }
+        let from = self.edges.len();
+        self.edges
+            .extend(self.node.motion_mut().backend_mut().take_edges());
+        // Axes play one after the other within one call.
+        self.edges[from..].sort_by_key(|event| event.at_ticks);
+        if let Some(vcd) = self.vcd.as_mut() {
+            for event in &self.edges[from..] {
+                if let Err(error) = vcd.write(event) {
+                    self.vcd_error.get_or_insert(error);
+                    self.vcd = None;
+                    break;
+                }
+            }
+        }
+        let edges_max = match self.config.record {
+            Recording::Off => 0,
+            Recording::Edges { max } => max,
+        };
+        if self.cut {
+            self.edges.truncate(from);
+        } else if self.edges.len() > edges_max {
+            self.edges.truncate(edges_max);
+            self.cut = true;
+        }
+    }
+}
+
+impl node::run::Host for EmulatedNode {
+    fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
+        match inbound {
+            Inbound::Message { topic, payload } => Self::handle(self, topic, payload, now),
+            other => self.inbound(other, now),
+        }
+    }
+
+    fn poll(&mut self, now: LocalMicros) {
+        Self::poll(self, now);
+    }
+
+    fn poll_timeout(&self) -> Option<LocalMicros> {
+        Self::poll_timeout(self)
+    }
+
+    fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
+        Self::poll_outbox(self, now)
+    }
+}
+
+fn boot_node(memory: &RingMemory, config: &EmulatorConfig, boot: u32, boots: u64) -> InnerNode {
+    let seed = splitmix(config.seed.wrapping_add(boots));
+    let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
+    backend.record_edges(config.record != Recording::Off);
+    let mut motion = config.motion.clone();
+    motion.axis_count = config.axis_count;
+    let node_config = NodeConfig {
+        keys: config.keys.clone(),
+        motion,
+        link_loss: config.link_loss,
+        link_loss_after_us: config.link_loss_after_us,
+        ..NodeConfig::new(config.name, boot)
+    };
+    Node::new(memory.words(), backend, Bench::default(), node_config)
+}
+
+/// One step of splitmix64: well-mixed bits from any number.
+pub(crate) fn splitmix(seed: u64) -> u64 {
+    let mut mixed = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ mixed >> 31
+}

@@ -1,0 +1,27 @@
+//! The same node on a PC: virtual pulse hardware, clock, stream and memory; all else is the board's.
+//!
+//! ```text
+//!  zenoh router ◀── tokio TcpStream ──▶ node::run ──▶ Node ──▶ motion ──▶ VirtualRmt ──▶ PinEvent
+//!                    wall.rs             LocalClock                        pulse.rs       │   │
+//!                                                                              vcd.rs ◀───┘   ▼
+//!                                                     record.rs: Life ─────────────▶ oracle.rs
+//! ```
+//!
+//! Two doors: [`EmulatedNode`] takes bytes and times and never waits (tests, virtual time);
+//! [`spawn`] runs one on a real clock and a real socket (the program `emulator`, `fleet demo`).
+
+pub mod clock;
+pub mod config;
+pub mod emulated;
+pub mod oracle;
+pub mod pins;
+pub mod pulse;
+pub mod record;
+pub mod vcd;
+pub mod wall;
+
+mod memory;
+
+pub use config::{Credentials, EmulatorConfig, Recording};
+pub use emulated::EmulatedNode;
+pub use wall::{EmulatedHandle, spawn};

@@ -1,0 +1,316 @@
+//! The program `emulator`: emulated nodes on a real network, until Ctrl-C or SIGTERM.
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Parser, ValueEnum};
+use emulator::{
+    Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX, oracle,
+    record::Life,
+};
+use keys::{Keys, NodeId};
+use motion::limits::CHANNELS;
+use node::LinkLoss;
+use std::{
+    fs::File,
+    io::BufWriter,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+/// Emulates nodes of the fleet: the board's firmware with a virtual pulse unit, over a real
+/// zenoh link. Runs until Ctrl-C or SIGTERM.
+#[derive(Debug, Parser)]
+#[command(version, about, long_about = None)]
+#[command(after_help = "Examples:\n  \
+    emulator --name left                      one node for the gateway on this machine\n  \
+    emulator --nodes 8                        node-1 to node-8\n  \
+    emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
+    emulator --nodes 4 --check                judge every pulse; exit code 1 on a violation\n\n\
+    Exit codes: 0 stopped by a signal, 1 --check found a violation or an error, 2 bad option.")]
+struct Args {
+    /// Name of the node; with --nodes above 1 what the names begin with: NAME-1, NAME-2, …
+    /// [default: node-1, or node with --nodes above 1]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+
+    /// How many nodes.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    nodes: u16,
+
+    /// Zenoh router or gateway to connect to.
+    #[arg(
+        long,
+        value_name = "tcp/HOST:PORT",
+        default_value = "tcp/127.0.0.1:7447"
+    )]
+    connect: String,
+
+    /// Prefix of all keys of the fleet.
+    #[arg(long, default_value = keys::key::PREFIX_DEFAULT)]
+    prefix: String,
+
+    /// Axes of each node.
+    #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=CHANNELS as i64))]
+    axes: u8,
+
+    /// Commands that the queue of each node holds.
+    #[arg(long, value_name = "COMMANDS", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(16..=1_048_576))]
+    ring: u32,
+
+    /// What the clock of each node shows at its boot, µs.
+    #[arg(long, value_name = "US", default_value_t = 0)]
+    clock_offset_us: u64,
+
+    /// By how much the clock of each node is too fast, millionths; negative: too slow.
+    #[arg(
+        long,
+        value_name = "PPM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    clock_drift_ppm: f64,
+
+    /// What a node does when the link stays away for two seconds while it moves.
+    #[arg(long, value_enum, default_value_t = OnLinkLoss::Decelerate)]
+    link_loss: OnLinkLoss,
+
+    /// User for a router that asks.
+    #[arg(long, requires = "password_file")]
+    user: Option<String>,
+
+    /// File with the user's password; a newline at its end does not count.
+    #[arg(long, value_name = "FILE", requires = "user")]
+    password_file: Option<PathBuf>,
+
+    /// Write the pins as a value change dump. With several nodes the node's name is put before
+    /// the extension.
+    #[arg(long, value_name = "FILE")]
+    vcd: Option<PathBuf>,
+
+    /// Judge every pulse against the commands that were taken, at the end.
+    #[arg(long)]
+    check: bool,
+
+    /// Where random numbers of the virtual pulse unit come from.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+/// See [`LinkLoss`].
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum OnLinkLoss {
+    /// Execute what the queue holds.
+    Finish,
+    /// Stop by the ramp of each axis; a release is needed afterwards.
+    Decelerate,
+    /// Stop at once; a release is needed afterwards.
+    Halt,
+}
+
+impl Args {
+    /// Returns one configuration for each node.
+    fn configs(&self) -> Result<Vec<EmulatorConfig>> {
+        let keys = Keys::new(&self.prefix).with_context(|| format!("--prefix {}", self.prefix))?;
+        ensure!(
+            self.clock_drift_ppm.is_finite() && self.clock_drift_ppm.abs() <= 1_000.0,
+            "--clock-drift-ppm lies between -1000 and 1000"
+        );
+        let credentials = match (&self.user, &self.password_file) {
+            (Some(user), Some(file)) => Some(credentials(user, file)?),
+            _ => None,
+        };
+        let link_loss = match self.link_loss {
+            OnLinkLoss::Finish => LinkLoss::Finish,
+            OnLinkLoss::Decelerate => LinkLoss::Decelerate,
+            OnLinkLoss::Halt => LinkLoss::Halt,
+        };
+        let record = if self.check {
+            Recording::Edges {
+                max: RECORDED_EDGES_MAX,
+            }
+        } else {
+            Recording::Off
+        };
+        (1..=self.nodes)
+            .map(|number| {
+                let name = match (&self.name, self.nodes) {
+                    (Some(name), 1) => name.clone(),
+                    (name, _) => format!("{}-{number}", name.as_deref().unwrap_or("node")),
+                };
+                let id = NodeId::new(&name).with_context(|| format!("--name: {name:?}"))?;
+                Ok(EmulatorConfig {
+                    keys: keys.clone(),
+                    axis_count: usize::from(self.axes),
+                    ring_commands: self.ring as usize,
+                    link_loss,
+                    seed: self.seed.wrapping_add(u64::from(number)),
+                    record,
+                    connect: self.connect.clone(),
+                    clock_offset_us: self.clock_offset_us,
+                    clock_drift_ppb: (self.clock_drift_ppm * 1_000.0) as i64,
+                    credentials: credentials.clone(),
+                    ..EmulatorConfig::new(id)
+                })
+            })
+            .collect()
+    }
+}
+
+fn credentials(user: &str, password_file: &Path) -> Result<Credentials> {
+    let password = std::fs::read_to_string(password_file)
+        .with_context(|| format!("--password-file {}", password_file.display()))?;
+    let password = password.trim_end_matches(['\r', '\n']);
+    ensure!(!password.is_empty(), "the password file is empty");
+    Ok(Credentials {
+        user: user.to_owned(),
+        password: password.to_owned(),
+    })
+}
+
+/// Puts the node's name before the extension when there are several.
+fn vcd_path(file: &Path, name: &NodeId, nodes: u16) -> PathBuf {
+    if nodes == 1 {
+        return file.to_owned();
+    }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = file
+        .extension()
+        .map_or(String::new(), |text| format!(".{}", text.to_string_lossy()));
+    file.with_file_name(format!("{stem}-{name}{extension}"))
+}
+
+#[tokio::main]
+async fn main() -> Result<ExitCode> {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env()
+                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info")),
+        )
+        .with_writer(std::io::stderr)
+        .init();
+    let args = Args::parse();
+    let mut handles = Vec::new();
+    for config in args.configs()? {
+        let name = config.name;
+        let handle = emulator::spawn(config)?;
+        if let Some(file) = &args.vcd {
+            let path = vcd_path(file, &name, args.nodes);
+            let file = File::create(&path).with_context(|| format!("--vcd {}", path.display()))?;
+            handle
+                .with(|node, _| node.dump_to(Box::new(BufWriter::new(file))))
+                .with_context(|| format!("--vcd {}", path.display()))?;
+        }
+        handles.push(handle);
+    }
+    wait_for_signal().await?;
+    tracing::info!("stopping");
+    finish(handles, args.check).await
+}
+
+/// Ends all nodes and judges them if that was asked for.
+async fn finish(handles: Vec<EmulatedHandle>, check: bool) -> Result<ExitCode> {
+    let mut good = true;
+    for handle in handles {
+        let name = handle.name();
+        handle
+            .with(|node, _| node.finish_dump())
+            .with_context(|| format!("{name}: the value change dump is not whole"))?;
+        let lives = handle.shutdown().await;
+        if check {
+            good &= judge(&name, &lives);
+        }
+    }
+    if check && !good {
+        bail!("violations found");
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints the verdict on one node; `false` on a violation.
+fn judge(name: &NodeId, lives: &[Life]) -> bool {
+    let mut good = true;
+    for life in lives {
+        match oracle::check_life(life) {
+            Ok(summary) => println!("{name}: boot {:08x}: good: {summary}", life.boot),
+            Err(violations) => {
+                good = false;
+                println!("{name}: boot {:08x}: VIOLATIONS", life.boot);
+                for violation in violations {
+                    println!("{name}:   {violation}");
+                }
+            }
+        }
+        if life.cut {
+            println!("{name}:   the record was full, what came later was not judged");
+        }
+    }
+    good
+}
+
+#[cfg(unix)]
+async fn wait_for_signal() -> Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::select! {
+        result = tokio::signal::ctrl_c() => result?,
+        _ = terminate.recv() => {}
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+async fn wait_for_signal() -> Result<()> {
+    Ok(tokio::signal::ctrl_c().await?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(line: &[&str]) -> Vec<String> {
+        let args = Args::parse_from([&["emulator"], line].concat());
+        let configs = args.configs().expect("legal");
+        configs
+            .iter()
+            .map(|config| config.name.to_string())
+            .collect()
+    }
+
+    #[test]
+    fn names_follow_from_name_and_number() {
+        assert_eq!(names(&[]), ["node-1"]);
+        assert_eq!(names(&["--name", "left"]), ["left"]);
+        assert_eq!(names(&["--nodes", "2"]), ["node-1", "node-2"]);
+        assert_eq!(
+            names(&["--nodes", "2", "--name", "cell"]),
+            ["cell-1", "cell-2"]
+        );
+    }
+
+    #[test]
+    fn bad_options_are_refused_with_their_name() {
+        let error = |line: &[&str]| match Args::try_parse_from([&["emulator"], line].concat()) {
+            Ok(args) => format!("{:#}", args.configs().expect_err("must be refused")),
+            Err(error) => error.to_string(),
+        };
+        assert!(error(&["--name", "Left"]).contains("--name: \"Left\""));
+        assert!(error(&["--prefix", "a//b"]).contains("--prefix a//b"));
+        assert!(error(&["--clock-drift-ppm", "2e9"]).contains("--clock-drift-ppm"));
+        assert!(error(&["--axes", "7"]).contains("--axes"));
+        assert!(error(&["--nodes", "0"]).contains("--nodes"));
+        assert!(error(&["--user", "u"]).contains("--password-file"));
+    }
+
+    #[test]
+    fn a_dump_of_several_nodes_has_a_file_for_each() {
+        let name = NodeId::new("node-2").expect("legal");
+        assert_eq!(
+            vcd_path(Path::new("/tmp/a.vcd"), &name, 1),
+            Path::new("/tmp/a.vcd")
+        );
+        assert_eq!(
+            vcd_path(Path::new("/tmp/a.vcd"), &name, 2),
+            Path::new("/tmp/a-node-2.vcd")
+        );
+        assert_eq!(vcd_path(Path::new("a"), &name, 2), Path::new("a-node-2"));
+    }
+}

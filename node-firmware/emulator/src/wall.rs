@@ -1,0 +1,322 @@
+//! Emulated nodes on a real clock and a real socket: one task each, no thread of their own.
+//!
+//! A node is advanced lazily: it sleeps until its own next deadline or the next byte, and then
+//! catches up with everything that its pulse unit has done in between, at the right ticks. So a
+//! late wake-up of the PC shows in no edge.
+
+use crate::{
+    clock::LocalClock,
+    config::EmulatorConfig,
+    emulated::{EmulatedNode, splitmix},
+    record::Life,
+};
+use embedded_io_adapters::tokio_1::FromTokio;
+use keys::{AxisId, LocalMicros, NodeId, Status};
+use motion::limits::CHANNELS;
+use node::{Inbound, run::NodeLink};
+use pico::{
+    driver::{self, App, Connect, ConnectError, Next, Timer},
+    session::{Credentials, Session, SessionConfig},
+};
+use std::{
+    hash::{BuildHasher, RandomState},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+use tokio::{
+    net::{
+        TcpStream,
+        tcp::{OwnedReadHalf, OwnedWriteHalf},
+    },
+    sync::Notify,
+    task::JoinHandle,
+    time::Instant,
+};
+
+/// Why a node cannot be spawned.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SpawnError {
+    /// The locator is not `tcp/HOST:PORT`.
+    Locator(String),
+    /// Not 1 to [`CHANNELS`] axes.
+    Axes(usize),
+    /// The ring holds no command.
+    Ring,
+}
+
+impl std::fmt::Display for SpawnError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Locator(locator) => {
+                write!(f, "{locator:?} is no address of the form tcp/HOST:PORT")
+            }
+            Self::Axes(count) => write!(f, "a node has 1 to {CHANNELS} axes, not {count}"),
+            Self::Ring => write!(f, "the ring must hold at least one command"),
+        }
+    }
+}
+
+impl std::error::Error for SpawnError {}
+
+/// What the task and its handle share.
+struct Shared {
+    node: Mutex<EmulatedNode>,
+    clock: Mutex<LocalClock>,
+    epoch: Instant,
+    /// The node was touched from outside: its deadlines may be others now.
+    touched: Notify,
+    /// The power was cut: the link breaks without a word.
+    rebooted: Notify,
+    quit: AtomicBool,
+}
+
+impl Shared {
+    fn node(&self) -> MutexGuard<'_, EmulatedNode> {
+        self.node.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn clock(&self) -> MutexGuard<'_, LocalClock> {
+        self.clock.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn real_us(&self) -> u64 {
+        u64::try_from(self.epoch.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+
+    fn now(&self) -> LocalMicros {
+        self.clock().local_from_real(self.real_us())
+    }
+}
+
+/// The node's own clock, which may be off, drift and jump.
+struct NodeTimer(Arc<Shared>);
+
+impl Timer for NodeTimer {
+    fn now_us(&self) -> u64 {
+        self.0.now().0
+    }
+
+    async fn sleep_until_us(&self, at_us: u64) {
+        let real_us = self.0.clock().real_from_local(LocalMicros(at_us));
+        let at = self.0.epoch.checked_add(Duration::from_micros(real_us));
+        match at {
+            Some(at) => tokio::time::sleep_until(at).await,
+            // So far ahead that nobody will be there.
+            None => std::future::pending().await,
+        }
+    }
+}
+
+struct Tcp {
+    address: String,
+}
+
+impl Connect for Tcp {
+    type Reader = FromTokio<OwnedReadHalf>;
+    type Writer = FromTokio<OwnedWriteHalf>;
+
+    async fn connect(&mut self) -> Result<(Self::Reader, Self::Writer), ConnectError> {
+        let stream = TcpStream::connect(&self.address)
+            .await
+            .map_err(|_| ConnectError)?;
+        // Stops and clock replies must not wait for more to send.
+        stream.set_nodelay(true).map_err(|_| ConnectError)?;
+        let (reader, writer) = stream.into_split();
+        Ok((FromTokio::new(reader), FromTokio::new(writer)))
+    }
+}
+
+struct NodeApp {
+    shared: Arc<Shared>,
+    link: NodeLink,
+}
+
+impl App for NodeApp {
+    fn poll(&mut self, now_us: u64, session: &mut Session) -> Next {
+        let mut node = self.shared.node();
+        let wake_at = self.link.exchange(&mut *node, session, LocalMicros(now_us));
+        Next {
+            wake_at_us: wake_at.map(|at| at.0),
+            quit: self.shared.quit.load(Ordering::Relaxed),
+        }
+    }
+
+    async fn touched(&self) {
+        self.shared.touched.notified().await;
+    }
+}
+
+/// Boots a node and lets it run in a task of the present tokio runtime; it connects, and connects
+/// again, until [`EmulatedHandle::shutdown`]. Dropping the handle leaves it running.
+///
+/// # Errors
+/// A setting is out of range.
+///
+/// # Panics
+/// There is no tokio runtime.
+pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
+    let address = config
+        .connect
+        .strip_prefix("tcp/")
+        .filter(|address| address.rsplit_once(':').is_some_and(is_port))
+        .ok_or_else(|| SpawnError::Locator(config.connect.clone()))?
+        .to_owned();
+    if !(1..=CHANNELS).contains(&config.axis_count) {
+        return Err(SpawnError::Axes(config.axis_count));
+    }
+    if config.ring_commands == 0 {
+        return Err(SpawnError::Ring);
+    }
+    let shared = Arc::new(Shared {
+        clock: Mutex::new(LocalClock::new(
+            0,
+            config.clock_offset_us,
+            config.clock_drift_ppb,
+        )),
+        node: Mutex::new(EmulatedNode::new(config, random() as u32)),
+        epoch: Instant::now(),
+        touched: Notify::new(),
+        rebooted: Notify::new(),
+        quit: AtomicBool::new(false),
+    });
+    let task = tokio::spawn(live(shared.clone(), address));
+    Ok(EmulatedHandle { shared, task })
+}
+
+fn is_port((host, port): (&str, &str)) -> bool {
+    !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port != 0)
+}
+
+/// Boot after boot until the node quits.
+async fn live(shared: Arc<Shared>, address: String) {
+    while !shared.quit.load(Ordering::Relaxed) {
+        let boot = boot(shared.clone(), address.clone());
+        tokio::select! {
+            () = boot => {}
+            () = shared.rebooted.notified() => {}
+        }
+    }
+    let now = shared.now();
+    shared.node().inbound(Inbound::LinkDown, now);
+}
+
+async fn boot(shared: Arc<Shared>, address: String) {
+    let (keys, name, credentials) = {
+        let node = shared.node();
+        let config = node.config();
+        (config.keys.clone(), config.name, config.credentials.clone())
+    };
+    let config = SessionConfig {
+        credentials: credentials.map(|credentials| Credentials {
+            user: credentials.user,
+            password: credentials.password,
+        }),
+        ..SessionConfig::default()
+    };
+    let mut session = Session::new(config, random());
+    let link = NodeLink::declare(&mut session, &keys, &name)
+        .expect("a session has room for one node's keys");
+    let mut app = NodeApp {
+        shared: shared.clone(),
+        link,
+    };
+    let timer = NodeTimer(shared);
+    driver::run(&mut session, &mut Tcp { address }, &timer, &mut app).await;
+}
+
+/// Where boot numbers and session ids come from: the operating system, by way of the hasher.
+fn random() -> u64 {
+    splitmix(RandomState::new().hash_one(()))
+}
+
+/// A running node, from outside.
+pub struct EmulatedHandle {
+    shared: Arc<Shared>,
+    task: JoinHandle<()>,
+}
+
+impl std::fmt::Debug for EmulatedHandle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EmulatedHandle")
+            .field("node", &*self.shared.node())
+            .finish_non_exhaustive()
+    }
+}
+
+impl EmulatedHandle {
+    /// Gives the node to a closure, with its present time, after it has caught up.
+    pub fn with<R>(&self, f: impl FnOnce(&mut EmulatedNode, LocalMicros) -> R) -> R {
+        let result = {
+            let mut node = self.shared.node();
+            let now = self.shared.now();
+            node.poll(now);
+            f(&mut node, now)
+        };
+        self.shared.touched.notify_one();
+        result
+    }
+
+    /// Returns its name.
+    pub fn name(&self) -> NodeId {
+        self.shared.node().name()
+    }
+
+    /// Returns what it says about itself now.
+    pub fn status(&self) -> Status {
+        self.with(|node, _| node.status())
+    }
+
+    /// Returns the exact position of an axis now, as the node knows it.
+    pub fn position_steps(&self, axis: AxisId) -> i64 {
+        self.with(|node, _| node.position_steps(axis))
+    }
+
+    /// Returns the emulated pulse counter of an axis now.
+    pub fn step_count(&self, axis: AxisId) -> i64 {
+        self.with(|node, _| node.step_count(axis))
+    }
+
+    /// Returns whether its session is open.
+    pub fn link_up(&self) -> bool {
+        self.shared.node().node().link_up()
+    }
+
+    /// Presses or frees the stop input.
+    pub fn stop_pin(&self, active: bool) {
+        self.with(|node, now| node.stop_pin(active, now));
+    }
+
+    /// Lets its clock jump ahead.
+    pub fn jump_clock(&self, ahead_us: u64) {
+        let real_us = self.shared.real_us();
+        self.shared.clock().jump(real_us, ahead_us);
+        self.shared.touched.notify_one();
+    }
+
+    /// Cuts the power and boots again: everything in its memory is lost, the link breaks without a
+    /// word.
+    pub fn reset(&self) {
+        {
+            let mut node = self.shared.node();
+            let config = node.config();
+            let real_us = self.shared.real_us();
+            let clock = LocalClock::new(real_us, config.clock_offset_us, config.clock_drift_ppb);
+            *self.shared.clock() = clock;
+            node.reset(random() as u32);
+        }
+        self.shared.rebooted.notify_one();
+    }
+
+    /// Ends the node with an orderly close of its session and gives the records of its boots.
+    pub async fn shutdown(self) -> Vec<Life> {
+        self.with(|_, _| ());
+        self.shared.quit.store(true, Ordering::Relaxed);
+        self.shared.touched.notify_one();
+        // A task that panicked has nothing more to say than its message, which is printed.
+        let _ = self.task.await;
+        self.shared.node().take_lives()
+    }
+}

@@ -1,0 +1,302 @@
+//! An emulated node over real TCP to a router of the zenoh crate in this process.
+//!
+//! Nothing here sleeps to synchronize: every wait is for a message.
+
+use emulator::{EmulatedHandle, EmulatorConfig, Recording, oracle, spawn};
+use keys::{
+    AxisId, BatchAck, BatchHeader, Command, JobId, Keys, NodeId, NodeState, NodeTopic, Order,
+    QueueId, Status, Verdict,
+    batch::{BatchWriter, ORDER_BYTES_MAX},
+    clock::{ClockMessage, ClockProbe},
+    version,
+};
+use std::{
+    net::{Ipv4Addr, TcpListener},
+    time::Duration,
+};
+use zenoh::{
+    Config, Session, Wait,
+    handlers::FifoChannelHandler,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+/// Far more than anything here takes; only a failure waits so long.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Opens a router on a port that was free a moment ago; taken meanwhile, on another one.
+async fn router() -> (Session, String) {
+    loop {
+        let port = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))
+            .and_then(|listener| listener.local_addr())
+            .expect("a free port")
+            .port();
+        let locator = format!("tcp/127.0.0.1:{port}");
+        let mut config = Config::default();
+        for (key, value) in [
+            ("mode", "\"router\"".to_owned()),
+            ("listen/endpoints", format!("[\"{locator}\"]")),
+            ("scouting/multicast/enabled", "false".to_owned()),
+        ] {
+            config.insert_json5(key, &value).expect("a known setting");
+        }
+        if let Ok(session) = zenoh::open(config).await {
+            return (session, locator);
+        }
+    }
+}
+
+struct Bench {
+    router: Session,
+    keys: Keys,
+    name: NodeId,
+    acks: Subscriber<FifoChannelHandler<Sample>>,
+    statuses: Subscriber<FifoChannelHandler<Sample>>,
+    clock: Subscriber<FifoChannelHandler<Sample>>,
+    alive: Subscriber<FifoChannelHandler<Sample>>,
+    node: EmulatedHandle,
+}
+
+async fn next(of: &Subscriber<FifoChannelHandler<Sample>>) -> Sample {
+    tokio::time::timeout(PATIENCE, of.recv_async())
+        .await
+        .expect("a message in time")
+        .expect("an open session")
+}
+
+impl Bench {
+    async fn new(name: &str, configure: impl FnOnce(&mut EmulatorConfig)) -> Self {
+        let (router, locator) = router().await;
+        let keys = Keys::default();
+        let name = NodeId::new(name).expect("legal");
+        let key = |topic| keys.node(&name, topic).as_str().to_owned();
+        let subscribe = async |topic| {
+            router
+                .declare_subscriber(key(topic))
+                .await
+                .expect("subscribed")
+        };
+        let acks = subscribe(NodeTopic::Ack).await;
+        let statuses = subscribe(NodeTopic::Status).await;
+        let clock = subscribe(NodeTopic::Clock).await;
+        let alive = router
+            .liveliness()
+            .declare_subscriber(key(NodeTopic::Alive))
+            .await
+            .expect("subscribed");
+        let mut config = EmulatorConfig::new(name);
+        config.connect = locator;
+        config.record = Recording::Edges { max: 1_000_000 };
+        configure(&mut config);
+        let node = spawn(config).expect("spawned");
+        let bench = Self {
+            router,
+            keys,
+            name,
+            acks,
+            statuses,
+            clock,
+            alive,
+            node,
+        };
+        assert_eq!(next(&bench.alive).await.kind(), SampleKind::Put);
+        bench
+    }
+
+    async fn put(&self, topic: NodeTopic, payload: &[u8]) {
+        let key = self.keys.node(&self.name, topic);
+        self.router
+            .put(key.as_str(), payload)
+            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .await
+            .expect("put");
+    }
+
+    async fn status_where(&self, wanted: impl Fn(&Status) -> bool) -> Status {
+        loop {
+            let sample = next(&self.statuses).await;
+            let status = version::decode(&sample.payload().to_bytes()).expect("a status");
+            if wanted(&status) {
+                return status;
+            }
+        }
+    }
+
+    async fn batch(&self, queue: QueueId, first_command: u64, commands: &[Command]) -> BatchAck {
+        let mut writer = BatchWriter::new();
+        for command in commands {
+            assert!(writer.push(command));
+        }
+        let header = BatchHeader {
+            queue,
+            first_command,
+            command_count: 0,
+            job: JobId::new("j").expect("legal"),
+            job_end: first_command + commands.len() as u64,
+        };
+        let mut buffer = [0; ORDER_BYTES_MAX];
+        let bytes = writer.finish(header, &mut buffer).expect("room");
+        self.put(NodeTopic::Batch, bytes).await;
+        self.ack().await
+    }
+
+    async fn order(&self, order: &Order) -> BatchAck {
+        let mut buffer = [0; 64];
+        let bytes = version::encode(order, &mut buffer).expect("room");
+        self.put(NodeTopic::Batch, bytes).await;
+        self.ack().await
+    }
+
+    async fn ack(&self) -> BatchAck {
+        let sample = next(&self.acks).await;
+        version::decode(&sample.payload().to_bytes()).expect("an ack")
+    }
+}
+
+fn steps(steps: i32) -> Command {
+    Command::Move {
+        axis: AxisId(0),
+        delay_us: 50,
+        steps,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn orders_become_pulses_and_a_wild_stop_ends_them() {
+    let bench = Bench::new("left", |_| {}).await;
+    let status = bench.status_where(|_| true).await;
+    assert_eq!(status.state, NodeState::Idle);
+    assert_eq!(status.credit_commands, 4096);
+
+    let ack = bench
+        .batch(status.queue, 0, &[steps(2_000), steps(-500)])
+        .await;
+    assert_eq!(ack.verdict, Verdict::Accepted);
+    let ack = bench
+        .batch(status.queue, 0, &[steps(2_000), steps(-500)])
+        .await;
+    assert_eq!(ack.verdict, Verdict::Duplicate);
+    let done = bench
+        .status_where(|status| status.executed_commands == 2)
+        .await;
+    assert_eq!(done.axes[0].position_steps, 1_500);
+    assert_eq!(done.state, NodeState::Idle);
+
+    // 100 s of motion, ended by a stop for every node.
+    let ack = bench.batch(status.queue, 2, &[steps(2_000_000)]).await;
+    assert_eq!(ack.verdict, Verdict::Accepted);
+    bench
+        .status_where(|status| status.axes[0].position_steps > 2_000)
+        .await;
+    let every = bench.keys.every_node(NodeTopic::Stop);
+    bench.router.put(every.as_str(), "").await.expect("put");
+    let stopped = bench.status_where(|status| status.stop.is_some()).await;
+    assert_eq!(stopped.state, NodeState::Stopped);
+    let report = stopped.stop.expect("a report");
+    assert_eq!(report.queue, status.queue);
+    assert_eq!(report.positions_steps[0], stopped.axes[0].position_steps);
+
+    let ack = bench.batch(stopped.queue, 0, &[steps(5)]).await;
+    assert_eq!(ack.verdict, Verdict::Refused(keys::Refusal::Stopped));
+    let ack = bench
+        .order(&Order::Release {
+            queue: stopped.queue,
+        })
+        .await;
+    assert_eq!(ack.verdict, Verdict::Accepted);
+    let ack = bench.batch(stopped.queue, 0, &[steps(5)]).await;
+    assert_eq!(ack.verdict, Verdict::Accepted);
+    let done = bench
+        .status_where(|status| status.executed_commands == 1)
+        .await;
+    assert_eq!(
+        done.axes[0].position_steps,
+        stopped.axes[0].position_steps + 5
+    );
+
+    let lives = bench.node.shutdown().await;
+    assert_eq!(lives.len(), 1);
+    assert_eq!(lives[0].commands.len(), 4);
+    assert_eq!(lives[0].counted_steps[0], done.axes[0].position_steps);
+    if let Err(violations) = oracle::check_life(&lives[0]) {
+        panic!("{violations:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_clock_probe_is_answered_in_the_nodes_own_time() {
+    let bench = Bench::new("left", |config| config.clock_offset_us = 3_600_000_000).await;
+    let probe = ClockProbe {
+        probe: 5,
+        sent_at: keys::FleetMicros(77),
+    };
+    let mut buffer = [0; 64];
+    let bytes = version::encode(&ClockMessage::Probe(probe), &mut buffer).expect("room");
+    bench.put(NodeTopic::Clock, bytes).await;
+    let reply = loop {
+        let sample = next(&bench.clock).await;
+        match version::decode(&sample.payload().to_bytes()) {
+            Ok(ClockMessage::Reply(reply)) => break reply,
+            // Our own probe.
+            Ok(ClockMessage::Probe(_)) => {}
+            Err(error) => panic!("{error}"),
+        }
+    };
+    assert_eq!((reply.probe, reply.sent_at.0), (5, 77));
+    assert!(reply.received_at.0 >= 3_600_000_000);
+    assert!(reply.replied_at >= reply.received_at);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_is_gone_takes_its_token_along_and_a_reboot_brings_another_queue() {
+    let bench = Bench::new("left", |_| {}).await;
+    let first = bench.status_where(|_| true).await;
+    bench.node.reset();
+    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Delete);
+    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Put);
+    let second = bench
+        .status_where(|status| status.queue != first.queue)
+        .await;
+    assert_ne!(second.queue.boot, first.queue.boot);
+    assert_eq!(second.queue.flush, 0);
+    let lives = bench.node.shutdown().await;
+    assert_eq!(lives.len(), 2);
+    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Delete);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_hundred_nodes_run_in_one_process_and_one_stop_reaches_all() {
+    let (router, locator) = router().await;
+    let keys = Keys::default();
+    let statuses = router
+        .declare_subscriber(keys.every_node(NodeTopic::Status).as_str())
+        .with(zenoh::handlers::FifoChannel::new(100_000))
+        .await
+        .expect("subscribed");
+    let nodes: Vec<_> = (1..=100)
+        .map(|number| {
+            let name = NodeId::new(&format!("node-{number}")).expect("legal");
+            let mut config = EmulatorConfig::new(name);
+            config.connect = locator.clone();
+            spawn(config).expect("spawned")
+        })
+        .collect();
+    let mut seen = std::collections::HashSet::new();
+    while seen.len() < nodes.len() {
+        seen.insert(next(&statuses).await.key_expr().to_string());
+    }
+    let every = keys.every_node(NodeTopic::Stop);
+    router.put(every.as_str(), "").await.expect("put");
+    let mut stopped = std::collections::HashSet::new();
+    while stopped.len() < nodes.len() {
+        let sample = next(&statuses).await;
+        let status: Status = version::decode(&sample.payload().to_bytes()).expect("a status");
+        if status.state == NodeState::Stopped {
+            stopped.insert(sample.key_expr().to_string());
+        }
+    }
+    for node in nodes {
+        let _ = node.shutdown().await;
+    }
+    router.close().wait().expect("closed");
+}

@@ -1,0 +1,123 @@
+//! One motor: its segments, its encoder, its ledger. Lives in internal RAM beside the pulse
+//! hardware; the planner writes segments, the refill reads them, each under the back end's
+//! exclusive access.
+
+use crate::{
+    encoder::{Encoder, Fill},
+    ledger::Ledger,
+    limits::{LOW_WATER_TICKS, SEGMENTS_PER_COMMAND},
+    profile::{AxisProfile, Timing},
+    segment::{Segment, SegmentRing},
+};
+
+/// One motor.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    segments: SegmentRing,
+    encoder: Encoder,
+    ledger: Ledger,
+    /// End of what was planned since the start, ticks.
+    planned_ticks: u64,
+    /// Rest before that.
+    lead_ticks: u64,
+}
+
+impl Axis {
+    /// Makes an axis at rest at count 0.
+    pub fn new(profile: AxisProfile) -> Self {
+        Self {
+            segments: SegmentRing::new(),
+            encoder: Encoder::new(Timing::from(profile)),
+            ledger: Ledger::new(),
+            planned_ticks: 0,
+            lead_ticks: 0,
+        }
+    }
+
+    /// Gives the half block with which the channel starts, a rest of `lead_ticks`, and books it as
+    /// half 0. Half 1 follows by [`Axis::fill`].
+    pub fn lead_in(&mut self, lead_ticks: u64) -> Fill {
+        self.lead_ticks = lead_ticks;
+        let fill = self.encoder.lead_in(lead_ticks);
+        self.ledger.book(0, &fill.steps_in_word);
+        fill
+    }
+
+    /// Gives the next half block and books it as `half` (0 or 1). Called by the refill.
+    pub fn fill(&mut self, half: usize) -> Fill {
+        let ahead_ticks = self.ahead_ticks();
+        let fill = self.encoder.fill(&mut self.segments, ahead_ticks);
+        self.ledger.book(half, &fill.steps_in_word);
+        fill
+    }
+
+    /// Returns the account of steps.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
+    }
+
+    /// Returns whether the end marker is written.
+    pub fn has_ended(&self) -> bool {
+        self.encoder.has_ended()
+    }
+
+    /// Returns whether the planner should be called: little is left to encode.
+    pub fn wants_planning(&self) -> bool {
+        !self.has_ended() && self.ahead_ticks() < LOW_WATER_TICKS
+    }
+
+    /// Returns what is planned and not encoded.
+    fn ahead_ticks(&self) -> u64 {
+        let encoded_ticks = self.encoder.encoded_ticks();
+        (self.lead_ticks + self.planned_ticks).saturating_sub(encoded_ticks)
+    }
+
+    /// The channel was halted or has ended: what was not played is un-booked.
+    pub fn halt(&mut self, played_steps: i64) {
+        self.segments.clear();
+        self.encoder.reset();
+        self.ledger.settle(played_steps);
+        self.planned_ticks = 0;
+    }
+
+    pub(crate) fn timing(&self) -> Timing {
+        *self.encoder.timing()
+    }
+
+    pub(crate) fn has_room(&self) -> bool {
+        self.segments.room() >= SEGMENTS_PER_COMMAND
+    }
+
+    pub(crate) fn begin(&mut self) {
+        self.segments.clear();
+        self.encoder.reset();
+        self.planned_ticks = 0;
+    }
+
+    pub(crate) fn push(&mut self, segment: Segment) {
+        self.planned_ticks += match segment {
+            Segment::Steps {
+                step_count,
+                interval_ticks,
+            } => u64::from(step_count) * interval_ticks,
+            Segment::Low { ticks } => ticks,
+            Segment::Turn { .. } => 0,
+        };
+        self.segments.push(segment);
+    }
+
+    pub(crate) fn encoded_ticks(&self) -> u64 {
+        self.encoder.encoded_ticks()
+    }
+
+    /// Leaves the plan and slows down.
+    pub(crate) fn decelerate(&mut self) {
+        let goes_on = matches!(self.segments.peek(), Some(Segment::Steps { .. }));
+        self.segments.clear();
+        self.encoder.decelerate(goes_on);
+    }
+
+    pub(crate) fn stopping_mhz(&self) -> Option<i64> {
+        self.encoder.stopping_mhz()
+    }
+}

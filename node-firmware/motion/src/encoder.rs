@@ -1,0 +1,433 @@
+//! Segments to symbols, half a block at a time. Runs in the refill interrupt: bounded integer
+//! work, internal RAM only.
+//!
+//! A step is one word, high first; what a slow step still owes to its interval follows as words
+//! of rest. Total time is kept to the tick, so axes that began together stay together.
+//!
+//! **Turning.** The direction pin is no part of the symbol stream; it is switched by software in a
+//! refill. So a turn needs a refill at which no step is left in the block:
+//!
+//! ```text
+//!   half h            half h+1              half h+2
+//!   step step rest…   rest rest rest rest…  step step …
+//!                     ▲ h is consumed: the refill switches the pin, then writes h+2
+//! ```
+//!
+//! The rest of h is filled with the shortest words, h+1 lasts at least the refill's latency and
+//! the setup time. The planner has left that much rest before every turn
+//! (`Timing::window_ticks`); where an axis has rested for longer, the pin is switched at once.
+//!
+//! **Pace.** Axes look ahead differently: 24 fast steps last 100 µs, 24 words of rest could last
+//! 6 ms. The planner can be no further ahead than the ring of the busiest axis allows, so a resting
+//! one must not run to the end of the plan and stop: a half block of rest covers at most half of
+//! what is planned. Ahead stays a third of it, whatever the others do.
+//!
+//! **Controlled stop.** v² falls by 2a with each step (constant deceleration), the interval between
+//! two steps is 2 / (v₀ + v₁): exact for constant deceleration, and one integer root a step.
+
+use crate::{
+    limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
+    profile::Timing,
+    segment::{Direction, Segment, SegmentRing},
+    symbol::Symbol,
+};
+
+/// One half block.
+#[derive(Clone, Debug)]
+pub struct Fill {
+    /// The words, to be written to the half that was consumed.
+    pub words: [Symbol; REFILL_WORDS],
+    /// The direction pin takes this level now, before anything of `words` is played.
+    pub turn: Option<Direction>,
+    pub(crate) steps_in_word: [i8; REFILL_WORDS],
+}
+
+/// How far a turn has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Turn {
+    None,
+    /// The rest of this half block is filled; the next one is the window.
+    Filling,
+    /// The window is written: the next refill switches the pin.
+    Due,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct HalfFacts {
+    has_steps: bool,
+    ticks: u64,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Encoder {
+    timing: Timing,
+    direction: Option<Direction>,
+    /// Steps of the present segment that are still to come.
+    steps_left: u32,
+    interval_ticks: u64,
+    /// Rest that is owed before anything else.
+    low_ticks: u64,
+    /// The rest is more than the last step's own interval.
+    resting: bool,
+    /// Rest since the last step's high time, saturating.
+    low_ticks_since_step: u64,
+    turn: Turn,
+    /// Speed of a controlled stop, mHz.
+    stopping_mhz: Option<u64>,
+    ended: bool,
+    half_before: HalfFacts,
+    encoded_ticks: u64,
+    /// Longest rest in one word of this fill.
+    low_word_ticks: u64,
+}
+
+/// Where the words of one fill go.
+struct Out {
+    fill: Fill,
+    count: usize,
+    facts: HalfFacts,
+}
+
+impl Out {
+    fn left(&self) -> usize {
+        REFILL_WORDS - self.count
+    }
+
+    fn push(&mut self, symbol: Symbol, steps: i8) {
+        self.fill.words[self.count] = symbol;
+        self.fill.steps_in_word[self.count] = steps;
+        self.count += 1;
+        self.facts.has_steps |= steps != 0;
+        self.facts.ticks += symbol.ticks();
+    }
+}
+
+impl Encoder {
+    pub(crate) fn new(timing: Timing) -> Self {
+        Self {
+            timing,
+            direction: None,
+            steps_left: 0,
+            interval_ticks: 0,
+            low_ticks: 0,
+            resting: true,
+            low_ticks_since_step: u64::MAX,
+            turn: Turn::None,
+            stopping_mhz: None,
+            ended: true,
+            half_before: HalfFacts::default(),
+            encoded_ticks: 0,
+            low_word_ticks: LOW_WORD_TICKS_MAX,
+        }
+    }
+
+    pub(crate) fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    /// Returns whether the end marker is written: nothing is played behind it.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Returns the time that was encoded since the start, ticks.
+    pub(crate) fn encoded_ticks(&self) -> u64 {
+        self.encoded_ticks
+    }
+
+    /// Returns the present speed of a controlled stop with sign, mHz.
+    pub(crate) fn stopping_mhz(&self) -> Option<i64> {
+        let speed_mhz = i64::try_from(self.stopping_mhz?).unwrap_or(i64::MAX);
+        Some(match self.direction {
+            Some(Direction::Negative) => -speed_mhz,
+            _ => speed_mhz,
+        })
+    }
+
+    /// Forgets everything but the direction pin: the channel was halted or has ended.
+    pub(crate) fn reset(&mut self) {
+        *self = Self {
+            direction: self.direction,
+            ..Self::new(self.timing)
+        };
+    }
+
+    /// Begins: the first half block is a rest of `lead_ticks`, so that all axes start on one tick.
+    pub(crate) fn lead_in(&mut self, lead_ticks: u64) -> Fill {
+        self.reset();
+        self.ended = false;
+        let mut out = Out::new();
+        self.low_ticks = lead_ticks;
+        self.spread(&mut out, lead_ticks);
+        self.finish(out)
+    }
+
+    /// Leaves the plan and slows down; the ring must be cleared by the caller.
+    pub(crate) fn decelerate(&mut self, goes_on: bool) {
+        if self.stopping_mhz.is_some() {
+            return;
+        }
+        let moves = self.steps_left > 0 || (goes_on && !self.resting);
+        let speed_mhz = if moves && self.interval_ticks > 0 {
+            1_000 * TICK_HZ / self.interval_ticks
+        } else {
+            0
+        };
+        if !moves {
+            self.low_ticks = 0;
+        }
+        self.steps_left = 0;
+        self.turn = Turn::None;
+        self.stopping_mhz = Some(speed_mhz);
+    }
+
+    /// Writes the next half block.
+    /// `ahead_ticks` is what is planned and not encoded.
+    pub(crate) fn fill(&mut self, segments: &mut SegmentRing, ahead_ticks: u64) -> Fill {
+        let mut out = Out::new();
+        self.low_word_ticks = if ahead_ticks <= 2 * REST_HALF_TICKS_MIN {
+            LOW_WORD_TICKS_MAX
+        } else {
+            let half_ticks = (ahead_ticks / 2).max(REST_HALF_TICKS_MIN);
+            (half_ticks / REFILL_WORDS as u64).min(LOW_WORD_TICKS_MAX)
+        };
+        if self.turn == Turn::Due {
+            self.turn = Turn::None;
+            if let Some(Segment::Turn { direction }) = segments.peek() {
+                segments.pop();
+                self.direction = Some(direction);
+                out.fill.turn = Some(direction);
+            }
+        }
+        while out.left() > 0 && !self.ended {
+            if self.turn == Turn::Filling && out.count == 0 {
+                self.window(&mut out);
+            } else if self.low_ticks > 0 {
+                self.rest(segments, &mut out);
+            } else if let Some(speed_mhz) = self.stopping_mhz {
+                self.slower_step(speed_mhz, &mut out);
+            } else if self.steps_left > 0 {
+                self.step(segments, &mut out);
+            } else {
+                self.next(segments, &mut out);
+            }
+        }
+        self.finish(out)
+    }
+
+    fn finish(&mut self, out: Out) -> Fill {
+        self.half_before = out.facts;
+        self.encoded_ticks += out.facts.ticks;
+        out.fill
+    }
+
+    /// Takes the next segment.
+    fn next(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+        match segments.peek() {
+            Some(Segment::Steps {
+                step_count,
+                interval_ticks,
+            }) => {
+                segments.pop();
+                self.steps_left = step_count;
+                self.interval_ticks = interval_ticks;
+            }
+            Some(Segment::Low { ticks }) => {
+                segments.pop();
+                self.low_ticks = ticks;
+                self.resting = true;
+            }
+            Some(Segment::Turn { .. }) => self.begin_turn(segments, out),
+            None => self.end(out),
+        }
+    }
+
+    /// Writes a step of the present segment.
+    fn step(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+        self.steps_left -= 1;
+        let high_ticks = self.timing.high_of(self.interval_ticks);
+        let low_ticks = self.interval_ticks - high_ticks;
+        let goes_on = self.steps_left > 0 || matches!(segments.peek(), Some(Segment::Steps { .. }));
+        if goes_on {
+            let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
+            self.write_step(high_ticks, low_ticks, in_word, out);
+        } else {
+            // What follows may be a turn: it wants the hold time in this word and all the rest
+            // still unwritten.
+            let mut low_ticks = low_ticks;
+            let rest = segments.peek();
+            if let Some(Segment::Low { ticks }) = rest {
+                segments.pop();
+                low_ticks += ticks;
+            }
+            let wanted = self.timing.hold_ticks.max(self.timing.low_ticks_min);
+            self.write_step(high_ticks, low_ticks, wanted, out);
+            self.resting = matches!(rest, Some(Segment::Low { .. } | Segment::Turn { .. }));
+        }
+    }
+
+    /// Writes the word of a step with up to `word_low_ticks` of its low time, and owes the rest.
+    fn write_step(&mut self, high_ticks: u64, low_ticks: u64, word_low_ticks: u64, out: &mut Out) {
+        let mut in_word = low_ticks.min(word_low_ticks);
+        let owed = low_ticks - in_word;
+        if owed > 0 && owed < WORD_TICKS_MIN {
+            // Less than a word: the two parts share it.
+            in_word = if in_word > WORD_TICKS_MIN + self.timing.low_ticks_min {
+                in_word - WORD_TICKS_MIN
+            } else {
+                low_ticks
+            };
+        }
+        let sign = self.direction.map_or(1, Direction::sign);
+        out.push(Symbol::step(high_ticks, in_word), sign);
+        self.low_ticks = low_ticks - in_word;
+        self.low_ticks_since_step = in_word;
+        self.resting = false;
+    }
+
+    /// Writes some of the rest that is owed.
+    fn rest(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+        let between_steps = self.steps_left > 0 || self.stopping_mhz.is_some();
+        if !between_steps {
+            while let Some(Segment::Low { ticks }) = segments.peek() {
+                segments.pop();
+                self.low_ticks += ticks;
+                self.resting = true;
+            }
+            if matches!(segments.peek(), Some(Segment::Turn { .. })) && self.turn == Turn::None {
+                self.begin_turn(segments, out);
+                if out.left() == 0 || self.turn != Turn::None {
+                    return;
+                }
+            }
+        }
+        // The last of a rest stays unwritten as long as possible: a turn may still be planned
+        // behind it.
+        let window_ticks = self.timing.window_ticks();
+        let word_ticks = if self.low_ticks > window_ticks + WORD_TICKS_MIN {
+            (self.low_ticks - window_ticks).min(self.low_word_ticks)
+        } else {
+            self.low_ticks.min(self.low_word_ticks)
+        };
+        self.write_low(word_ticks, out);
+    }
+
+    /// Writes one word of rest of about this length.
+    fn write_low(&mut self, word_ticks: u64, out: &mut Out) {
+        let left = self.low_ticks.saturating_sub(word_ticks);
+        let word_ticks = if left > 0 && left < WORD_TICKS_MIN {
+            (word_ticks - WORD_TICKS_MIN).max(WORD_TICKS_MIN)
+        } else {
+            word_ticks
+        };
+        out.push(Symbol::low(word_ticks), 0);
+        self.low_ticks = self.low_ticks.saturating_sub(word_ticks);
+        self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(word_ticks);
+    }
+
+    /// The next segment is a turn: at once if nothing is left to step, by a window otherwise.
+    fn begin_turn(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+        let margin_ticks = self.timing.turn_ticks();
+        let rests = !self.half_before.has_steps
+            && !out.facts.has_steps
+            && self.half_before.ticks >= margin_ticks
+            && self.low_ticks_since_step >= self.timing.hold_ticks;
+        if rests && out.fill.turn.is_none() {
+            if let Some(Segment::Turn { direction }) = segments.pop() {
+                self.direction = Some(direction);
+                out.fill.turn = Some(direction);
+            }
+            return;
+        }
+        self.turn = Turn::Filling;
+        let held = self.low_ticks_since_step >= self.timing.hold_ticks;
+        if out.count == 0 && held {
+            return;
+        }
+        while out.left() > 0 {
+            let missing = self
+                .timing
+                .hold_ticks
+                .saturating_sub(self.low_ticks_since_step);
+            self.write_low(missing.clamp(WORD_TICKS_MIN, LOW_WORD_TICKS_MAX), out);
+        }
+    }
+
+    /// Writes the half block of rest in which the pin is switched.
+    fn window(&mut self, out: &mut Out) {
+        let least = self.timing.turn_ticks();
+        let most = REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX / 2;
+        debug_assert!(self.low_ticks >= least, "the planner leaves the window");
+        self.low_ticks = self.low_ticks.max(least);
+        let left = self.low_ticks.saturating_sub(most);
+        let ticks = if left > 0 && left < WORD_TICKS_MIN {
+            most - WORD_TICKS_MIN
+        } else {
+            self.low_ticks.min(most)
+        };
+        self.spread(out, ticks);
+        self.turn = Turn::Due;
+    }
+
+    /// Writes a whole half block of rest that lasts this long.
+    fn spread(&mut self, out: &mut Out, ticks: u64) {
+        let mut left = ticks;
+        while out.left() > 0 {
+            let word_ticks = left / out.left() as u64;
+            out.push(Symbol::low(word_ticks), 0);
+            left -= word_ticks;
+        }
+        self.low_ticks -= ticks;
+        self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(ticks);
+    }
+
+    /// Writes a step of a controlled stop, or the end.
+    fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
+        // v² in mHz², 2a in the same unit: 10⁶ · 2a.
+        let lost = 2_000_000 * u64::from(self.timing.stop_accel_hz_per_s);
+        let Some(square) = (speed_mhz * speed_mhz).checked_sub(lost) else {
+            self.stopping_mhz = Some(0);
+            self.end(out);
+            return;
+        };
+        let slower_mhz = square.isqrt();
+        let interval_ticks = 2_000 * TICK_HZ / (speed_mhz + slower_mhz);
+        let high_ticks = self.timing.high_of(interval_ticks);
+        self.stopping_mhz = Some(slower_mhz);
+        self.write_step(
+            high_ticks,
+            interval_ticks - high_ticks,
+            LOW_WORD_TICKS_MAX,
+            out,
+        );
+    }
+
+    /// Writes the end marker, after the rest that a turn of the next start relies on.
+    fn end(&mut self, out: &mut Out) {
+        let missing = self
+            .timing
+            .hold_ticks
+            .saturating_sub(self.low_ticks_since_step);
+        if missing > 0 {
+            self.low_ticks = missing.max(WORD_TICKS_MIN);
+            self.write_low(self.low_ticks.min(LOW_WORD_TICKS_MAX), out);
+            return;
+        }
+        out.push(Symbol::END, 0);
+        self.ended = true;
+    }
+}
+
+impl Out {
+    fn new() -> Self {
+        Self {
+            fill: Fill {
+                words: [Symbol::END; REFILL_WORDS],
+                turn: None,
+                steps_in_word: [0; REFILL_WORDS],
+            },
+            count: 0,
+            facts: HalfFacts::default(),
+        }
+    }
+}

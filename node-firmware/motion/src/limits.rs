@@ -1,0 +1,78 @@
+//! Every number of motion, with its arithmetic.
+//!
+//! Ticks are those of the pulse hardware: 16 MHz, so that a microsecond is a whole number of them,
+//! a symbol's half reaches 2 ms, and the shortest legal half is 2 ticks (ESP32-S3 TRM §37.3:
+//! 3·T_apb + 5·T_sclk < period, 100 ns at 80 MHz).
+
+/// Ticks of one second.
+pub const TICK_HZ: u64 = 16_000_000;
+
+/// Ticks of one microsecond.
+pub const TICKS_PER_US: u64 = TICK_HZ / 1_000_000;
+
+/// Words of one RMT channel's block (TRM §37.2: 8 blocks of 48 words).
+pub const CHANNEL_WORDS: usize = 48;
+
+/// Words of one refill: half a block, so that one half plays while the other is written.
+/// 24 steps: 240 µs at 100 kHz.
+pub const REFILL_WORDS: usize = CHANNEL_WORDS / 2;
+
+/// Longest half of a symbol: 15 bits, 2.05 ms.
+pub const PART_TICKS_MAX: u64 = 32_767;
+
+/// Shortest half of a symbol: 125 ns.
+pub const PART_TICKS_MIN: u64 = 2;
+
+/// Shortest symbol.
+pub const WORD_TICKS_MIN: u64 = 2 * PART_TICKS_MIN;
+
+/// Longest low part of one word that this crate writes: 250 µs, although the hardware could take
+/// 4 ms. So a resting or slow axis has at most 48 · 250 µs = 12 ms in its block, and what comes
+/// next (another command, a stop) need not wait longer than that.
+pub const LOW_WORD_TICKS_MAX: u64 = 4_000;
+
+/// Latest that a refill may come after its threshold when a direction changes: 50 µs. The
+/// direction pin is switched in the refill, so this much rest surrounds a turn.
+pub const TURN_LATENCY_TICKS: u64 = 50 * TICKS_PER_US;
+
+/// Least that a half block of rest lasts: 80 µs for the refill.
+pub const REST_HALF_TICKS_MIN: u64 = 80 * TICKS_PER_US;
+
+/// Segments that wait for the encoder, for each axis: 16 bytes each, 2 KiB of internal RAM. More
+/// than two blocks, so that an axis that steps at every command cannot come to its end while
+/// another one still has its ring full; and at 1 MHz more time than two half blocks of rest.
+pub const SEGMENTS_MAX: usize = 128;
+
+/// Most segments that one command puts on one axis: rest, turn, steps, rest.
+pub const SEGMENTS_PER_COMMAND: usize = 4;
+
+/// An axis with less than this ahead of its encoder wants planning: 20 ms, more than a planning
+/// task is ever held up by others.
+pub const LOW_WATER_TICKS: u64 = 20_000 * TICKS_PER_US;
+
+/// Commands that are planned and not yet executed. The block holds up to 48 of one step each, the
+/// segment ring 128; the rest is for those that take no time.
+pub const MARKS_MAX: usize = 512;
+
+/// Longest setup time of a driver profile: 200 µs (the slowest driver in LinuxCNC's table).
+pub const SETUP_TICKS_MAX: u64 = 200 * TICKS_PER_US;
+
+/// Longest hold time of a driver profile: 200 µs.
+pub const HOLD_TICKS_MAX: u64 = 200 * TICKS_PER_US;
+
+/// Longest command: 9,139 years. Longer ones are refused, so that no sum of ticks overflows.
+pub const COMMAND_TICKS_MAX: u64 = 1 << 62;
+
+/// Axes that this crate drives: one for each RMT transmitter.
+pub const CHANNELS: usize = 4;
+
+const _: () = assert!(CHANNEL_WORDS.is_multiple_of(2));
+const _: () = assert!(LOW_WORD_TICKS_MAX <= PART_TICKS_MAX);
+const _: () = assert!(
+    TURN_LATENCY_TICKS + SETUP_TICKS_MAX <= REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX,
+    "a turn fits one half block"
+);
+const _: () = assert!(MARKS_MAX >= 2 * (CHANNEL_WORDS + SEGMENTS_MAX));
+const _: () = assert!(SEGMENTS_MAX > 2 * CHANNEL_WORDS);
+const _: () = assert!(SEGMENTS_MAX as u64 * TICKS_PER_US > 3 * REST_HALF_TICKS_MIN / 2);
+const _: () = assert!(CHANNELS <= keys::AXES_MAX);

@@ -1,0 +1,665 @@
+//! [`Motion`]: the ring, the planner, the axes and what ends when, behind one door.
+
+use crate::{
+    AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
+    limits::{CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, TICK_HZ, TICKS_PER_US},
+    planner::{Planner, Run, runs_of, ticks_of},
+    profile::Timing,
+};
+use keys::{AxisId, Command, Features, StopMode, status::FaultCode};
+
+/// The axes of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MotionConfig {
+    /// How many there are, 1 to [`CHANNELS`].
+    pub axis_count: usize,
+    /// What their drivers demand; those beyond `axis_count` do not matter.
+    pub axes: [AxisProfile; CHANNELS],
+}
+
+impl Default for MotionConfig {
+    /// Two axes with the default profile.
+    fn default() -> Self {
+        Self {
+            axis_count: 2,
+            axes: [AxisProfile::default(); CHANNELS],
+        }
+    }
+}
+
+/// What happened since the last call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotionEvent {
+    /// The commands before have ended: the laser takes this power.
+    Laser {
+        /// 0 to 100.
+        power_percent: u8,
+    },
+    /// The commands before have ended: a lidar reading is due. What follows does not wait for it.
+    LidarRequest,
+    /// The pulses had to rest although the job has more: see [`Motion::expect_more`].
+    Underrun,
+    /// Everything that was accepted has ended.
+    Rest,
+    /// A stop is complete: the last pulse has left.
+    Stopped,
+    /// The pulse hardware found a fault.
+    Fault(FaultCode),
+}
+
+/// Why a command cannot be executed here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandError {
+    /// The node has no such axis.
+    Axis(AxisId),
+    /// This firmware cannot do it.
+    NotSupported,
+    /// The interval is shorter than the driver's pulse, ns.
+    TooFast {
+        /// The shortest interval of the axis.
+        interval_ns_min: u32,
+    },
+    /// A step count of 0, or an interval of 0.
+    Nothing,
+    /// It would take longer than [`COMMAND_TICKS_MAX`](crate::limits::COMMAND_TICKS_MAX).
+    TooLong,
+    /// A value out of range.
+    Range,
+}
+
+impl core::fmt::Display for CommandError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Axis(axis) => write!(f, "there is no axis {}", axis.0),
+            Self::NotSupported => write!(f, "not supported by this node's firmware"),
+            Self::TooFast { interval_ns_min } => write!(
+                f,
+                "the driver needs at least {interval_ns_min} ns from step to step"
+            ),
+            Self::Nothing => write!(f, "no steps, or no time between them"),
+            Self::TooLong => write!(f, "it would take thousands of years"),
+            Self::Range => write!(f, "a value is out of range"),
+        }
+    }
+}
+
+impl core::error::Error for CommandError {}
+
+/// A command that is planned and not yet executed.
+#[derive(Clone, Copy, Debug)]
+struct Mark {
+    end: Ticks,
+    what: What,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum What {
+    Moves([Option<Run>; 2]),
+    Rest,
+    Laser {
+        power_percent: u8,
+    },
+    Lidar,
+    /// From here on, position = origin + played steps.
+    Origin {
+        axis: AxisId,
+        origin_steps: i64,
+    },
+}
+
+/// Marks in order of time. Full is an answer: the planner waits.
+#[derive(Debug)]
+struct Marks {
+    marks: [Mark; MARKS_MAX],
+    first: usize,
+    count: usize,
+}
+
+impl Marks {
+    const fn new() -> Self {
+        let none = Mark {
+            end: Ticks(0),
+            what: What::Rest,
+        };
+        Self {
+            marks: [none; MARKS_MAX],
+            first: 0,
+            count: 0,
+        }
+    }
+
+    fn front(&self) -> Option<&Mark> {
+        (self.count > 0).then(|| &self.marks[self.first])
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &Mark> {
+        (0..self.count).map(|index| &self.marks[(self.first + index) % MARKS_MAX])
+    }
+
+    fn push(&mut self, mark: Mark) {
+        assert!(self.count < MARKS_MAX, "the planner checks the room");
+        self.marks[(self.first + self.count) % MARKS_MAX] = mark;
+        self.count += 1;
+    }
+
+    fn pop(&mut self) -> Option<Mark> {
+        let mark = *self.front()?;
+        self.first = (self.first + 1) % MARKS_MAX;
+        self.count -= 1;
+        Some(mark)
+    }
+
+    fn is_full(&self) -> bool {
+        self.count == MARKS_MAX
+    }
+
+    /// Drops the marks that end later than this.
+    fn cut(&mut self, at: Ticks) {
+        self.count = self.iter().take_while(|mark| mark.end <= at).count();
+    }
+}
+
+/// Where the pulses are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// No channel plays.
+    Rest,
+    /// The channels play; `timeline` is the end of what is planned.
+    Playing { timeline: Ticks },
+    /// A controlled stop.
+    Decelerating,
+    /// The stop is complete, and nobody has been told.
+    Stopped,
+}
+
+/// Motion of one node. See the crate for the picture.
+///
+/// Call [`Motion::poll`] until it gives `None`, at [`Motion::poll_timeout`] or earlier; a late call
+/// delays events, never pulses.
+#[derive(Debug)]
+pub struct Motion<'m, B: StepBackend> {
+    ring: CommandRing<'m>,
+    backend: B,
+    axis_count: usize,
+    timing: [Timing; CHANNELS],
+    /// Rest between the start of the channels and the first command: time for the direction pins.
+    lead_ticks: u64,
+    planner: Planner,
+    marks: Marks,
+    phase: Phase,
+    now: Ticks,
+    /// Earliest start: when the pins are quiet after a halt.
+    quiet_at: Ticks,
+    /// When the channels were started.
+    started_at: Ticks,
+    /// Speed of each axis in a controlled stop.
+    stopping_mhz: [i32; CHANNELS],
+    origins_steps: [i64; CHANNELS],
+    /// Played steps at the end of what is planned.
+    planned_steps: [i64; CHANNELS],
+    accepted_commands: u64,
+    executed_commands: u64,
+    expected_commands: u64,
+    fault: Option<FaultCode>,
+}
+
+impl<'m, B: StepBackend> Motion<'m, B> {
+    /// Takes the ring and the hardware; all axes rest at position 0. The back end's axes become
+    /// those of `config`.
+    ///
+    /// # Panics
+    /// The configuration has no axis, or more than the back end.
+    pub fn new(ring: CommandRing<'m>, mut backend: B, config: MotionConfig) -> Self {
+        assert!(
+            (1..=CHANNELS).contains(&config.axis_count),
+            "a node has 1 to {CHANNELS} axes"
+        );
+        assert!(
+            backend.axes().len() >= config.axis_count,
+            "the back end has fewer channels than axes"
+        );
+        for (axis, profile) in backend.axes().iter_mut().zip(config.axes) {
+            *axis = crate::Axis::new(profile);
+        }
+        let timing = config.axes.map(Timing::from);
+        let lead_ticks = timing[..config.axis_count].iter().map(Timing::turn_ticks);
+        Self {
+            ring,
+            backend,
+            axis_count: config.axis_count,
+            timing,
+            lead_ticks: lead_ticks.max().expect("there is an axis"),
+            planner: Planner::new(),
+            marks: Marks::new(),
+            phase: Phase::Rest,
+            now: Ticks(0),
+            quiet_at: Ticks(0),
+            started_at: Ticks(0),
+            stopping_mhz: [0; CHANNELS],
+            origins_steps: [0; CHANNELS],
+            planned_steps: [0; CHANNELS],
+            accepted_commands: 0,
+            executed_commands: 0,
+            expected_commands: 0,
+            fault: None,
+        }
+    }
+
+    /// Returns how many axes there are.
+    pub fn axis_count(&self) -> usize {
+        self.axis_count
+    }
+
+    /// Returns what this firmware can do.
+    pub fn features(&self) -> Features {
+        Features::BASIC
+    }
+
+    /// Returns whether the command can be executed here.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn check(&self, command: &Command) -> Result<(), CommandError> {
+        if !self.features().has(command.feature()) {
+            return Err(CommandError::NotSupported);
+        }
+        if let Some(axis) = command.axis_max()
+            && usize::from(axis.0) >= self.axis_count
+        {
+            return Err(CommandError::Axis(axis));
+        }
+        match *command {
+            Command::Move {
+                delay_us, steps, ..
+            } if delay_us == 0 || steps == 0 => return Err(CommandError::Nothing),
+            Command::SyncMove { delay_us, steps } if delay_us.contains(&0) || steps == [0, 0] => {
+                return Err(CommandError::Nothing);
+            }
+            Command::Laser { power_percent } if power_percent > 100 => {
+                return Err(CommandError::Range);
+            }
+            _ => {}
+        }
+        for run in runs_of(command) {
+            let least = self.timing[usize::from(run.axis.0)].interval_ticks_min();
+            if run.steps == i32::MIN {
+                return Err(CommandError::Range);
+            }
+            if run.interval_ticks < least {
+                let ns = (least * 1_000_000_000).div_ceil(TICK_HZ);
+                return Err(CommandError::TooFast {
+                    interval_ns_min: u32::try_from(ns).unwrap_or(u32::MAX),
+                });
+            }
+        }
+        ticks_of(command).map(|_| ()).ok_or(CommandError::TooLong)
+    }
+
+    /// Returns how many commands still fit.
+    pub fn credit_commands(&self) -> usize {
+        self.ring.room()
+    }
+
+    /// Sets `count` places of the ring aside; push commands that [`Motion::check`] has approved.
+    ///
+    /// # Errors
+    /// [`Full`]: not all of them fit now.
+    pub fn reserve(&mut self, count: usize) -> Result<Reservation<'_, 'm>, Full> {
+        self.ring
+            .reserve_counted(count, &mut self.accepted_commands)
+    }
+
+    /// Returns how many commands were accepted since the queue began.
+    pub fn accepted_commands(&self) -> u64 {
+        self.accepted_commands
+    }
+
+    /// Returns how many of them have ended: their last pulse and its interval have passed.
+    pub fn executed_commands(&self) -> u64 {
+        self.executed_commands
+    }
+
+    /// The job goes on up to the command of this number: to run dry before it is an underrun.
+    pub fn expect_more(&mut self, until_command: u64) {
+        self.expected_commands = until_command;
+    }
+
+    /// Returns whether something was accepted and has not ended, or a stop is under way.
+    pub fn is_active(&self) -> bool {
+        self.accepted_commands > self.executed_commands
+            || matches!(self.phase, Phase::Decelerating | Phase::Stopped)
+    }
+
+    /// Returns whether pulses are leaving.
+    pub fn is_moving(&self) -> bool {
+        (0..self.axis_count).any(|axis| self.speed_mhz(AxisId(axis as u8)) != 0)
+    }
+
+    /// Returns the exact position of an axis, as of the last `now`, steps; 0 for an axis that does
+    /// not exist.
+    pub fn position_steps(&self, axis: AxisId) -> i64 {
+        self.origins_steps
+            .get(usize::from(axis.0))
+            .map_or(0, |origin| {
+                origin.wrapping_add(self.backend.played_steps(axis))
+            })
+    }
+
+    /// Returns the speed of an axis with sign, as of the last `now`, mHz.
+    pub fn speed_mhz(&self, axis: AxisId) -> i32 {
+        if self.phase == Phase::Decelerating {
+            return self
+                .stopping_mhz
+                .get(usize::from(axis.0))
+                .copied()
+                .unwrap_or(0);
+        }
+        let Some(mark) = self.marks.iter().find(|mark| mark.end > self.now) else {
+            return 0;
+        };
+        let What::Moves(runs) = mark.what else {
+            return 0;
+        };
+        let run = runs.into_iter().flatten().find(|run| run.axis == axis);
+        let Some(run) = run else { return 0 };
+        let begin = mark.end.0 - command_ticks(&runs);
+        if !(begin..begin + run.ticks().unwrap_or(0)).contains(&self.now.0) {
+            return 0;
+        }
+        let speed = (1_000 * TICK_HZ / run.interval_ticks).min(i32::MAX as u64);
+        let speed = i32::try_from(speed).unwrap_or(i32::MAX);
+        if run.steps < 0 { -speed } else { speed }
+    }
+
+    /// Returns the hardware.
+    pub fn backend(&self) -> &B {
+        &self.backend
+    }
+
+    /// Returns the hardware, for those who emulate it.
+    pub fn backend_mut(&mut self) -> &mut B {
+        &mut self.backend
+    }
+
+    /// Lets time pass up to `now`: plays, plans, books. Call it until it gives `None`.
+    pub fn poll(&mut self, now: Ticks) -> Option<MotionEvent> {
+        let now = now.max(self.now);
+        loop {
+            if let Some(code) = self.fault.take() {
+                return Some(MotionEvent::Fault(code));
+            }
+            if let Some(event) = self.pass_marks() {
+                return Some(event);
+            }
+            if let Some(event) = self.pass_phase() {
+                return Some(event);
+            }
+            self.plan();
+            if self.marks.front().is_some_and(|mark| mark.end <= self.now) {
+                continue;
+            }
+            if self.now >= now {
+                return None;
+            }
+            self.now = match self.phase {
+                Phase::Rest | Phase::Stopped => now,
+                Phase::Playing { .. } | Phase::Decelerating => self.backend.service(now),
+            };
+            self.fault = self.backend.take_fault();
+            if self.phase == Phase::Decelerating {
+                self.note_stopping_speeds();
+            }
+        }
+    }
+
+    /// Returns when [`Motion::poll`] has something to tell, `None` if only a command or a stop can
+    /// change anything.
+    pub fn poll_timeout(&self) -> Option<Ticks> {
+        match self.phase {
+            Phase::Stopped => Some(self.now),
+            // Its end depends on what the hardware still holds.
+            Phase::Decelerating => Some(self.now.plus(1_000 * TICKS_PER_US)),
+            Phase::Rest | Phase::Playing { .. } => {
+                let event = self
+                    .marks
+                    .iter()
+                    .find(|mark| matches!(mark.what, What::Laser { .. } | What::Lidar));
+                let end = match self.phase {
+                    Phase::Playing { timeline } if self.now < timeline => Some(timeline),
+                    Phase::Playing { timeline } => {
+                        Some(rest_from(timeline).max(self.now.plus(TICKS_PER_US)))
+                    }
+                    _ => None,
+                };
+                // Half of what is planned has ended: room for more of what waits.
+                let plan = (self.ring.count() > 0)
+                    .then(|| self.marks.iter().nth(MARKS_MAX / 2))
+                    .flatten();
+                let marks = [event, plan].into_iter().flatten().map(|mark| mark.end);
+                marks.chain(end).min()
+            }
+        }
+    }
+
+    /// The one stop: drops everything that is not played. [`StopMode::Halt`] is complete when this
+    /// returns, [`StopMode::Decelerate`] when [`Motion::poll`] says [`MotionEvent::Stopped`].
+    pub fn stop(&mut self, mode: StopMode, now: Ticks) {
+        // What belongs to the time before the stop happened before it. Of its events only a fault
+        // still matters.
+        while let Some(event) = self.poll(now) {
+            match event {
+                MotionEvent::Fault(code) => {
+                    self.fault = Some(code);
+                    break;
+                }
+                MotionEvent::Stopped => {
+                    self.phase = Phase::Stopped;
+                    break;
+                }
+                _ => {}
+            }
+        }
+        self.ring.clear();
+        match (self.phase, mode) {
+            (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
+            (Phase::Rest, _) => self.end_stop(),
+            (Phase::Playing { .. }, StopMode::Decelerate) => self.decelerate(),
+            (Phase::Playing { .. } | Phase::Decelerating, StopMode::Halt) => {
+                self.quiet_at = self.backend.halt(self.now);
+                self.end_stop();
+            }
+        }
+    }
+
+    /// After [`MotionEvent::Stopped`]: the next queue begins, its counters at 0.
+    pub fn begin_queue(&mut self) {
+        self.accepted_commands = 0;
+        self.executed_commands = 0;
+        self.expected_commands = 0;
+    }
+
+    /// Takes what has ended by `self.now`.
+    fn pass_marks(&mut self) -> Option<MotionEvent> {
+        while let Some(mark) = self.marks.front()
+            && mark.end <= self.now
+        {
+            let what = mark.what;
+            self.marks.pop();
+            self.executed_commands += 1;
+            match what {
+                What::Moves(_) | What::Rest => {}
+                What::Origin { axis, origin_steps } => {
+                    self.origins_steps[usize::from(axis.0)] = origin_steps;
+                }
+                What::Laser { power_percent } => {
+                    return Some(MotionEvent::Laser { power_percent });
+                }
+                What::Lidar => return Some(MotionEvent::LidarRequest),
+            }
+        }
+        None
+    }
+
+    /// Notices that the channels have come to rest.
+    fn pass_phase(&mut self) -> Option<MotionEvent> {
+        match self.phase {
+            Phase::Rest => None,
+            Phase::Stopped => {
+                self.phase = Phase::Rest;
+                Some(MotionEvent::Stopped)
+            }
+            Phase::Decelerating if self.backend.is_playing() => None,
+            Phase::Decelerating => {
+                self.settle_axes();
+                self.end_stop();
+                self.phase = Phase::Rest;
+                Some(MotionEvent::Stopped)
+            }
+            Phase::Playing { timeline } => {
+                if self.now < rest_from(timeline) || self.backend.is_playing() {
+                    return None;
+                }
+                self.settle_axes();
+                self.phase = Phase::Rest;
+                self.planner.rest();
+                if self.executed_commands < self.expected_commands {
+                    Some(MotionEvent::Underrun)
+                } else {
+                    Some(MotionEvent::Rest)
+                }
+            }
+        }
+    }
+
+    /// All channels have ended by themselves.
+    fn settle_axes(&mut self) {
+        for axis in 0..self.axis_count {
+            let played = self.backend.played_steps(AxisId(axis as u8));
+            self.backend.axes()[axis].halt(played);
+        }
+    }
+
+    fn decelerate(&mut self) {
+        let mut cut_ticks = u64::MAX;
+        for axis in &mut self.backend.axes()[..self.axis_count] {
+            cut_ticks = cut_ticks.min(axis.encoded_ticks());
+            axis.decelerate();
+        }
+        // Up to there every axis plays what was planned.
+        let cut = self.started_at.plus(cut_ticks);
+        self.marks.cut(cut);
+        self.phase = Phase::Decelerating;
+        self.note_stopping_speeds();
+    }
+
+    fn note_stopping_speeds(&mut self) {
+        let axes = &self.backend.axes()[..self.axis_count];
+        for (to, axis) in self.stopping_mhz.iter_mut().zip(axes) {
+            let speed_mhz = axis.stopping_mhz().unwrap_or(0);
+            *to = match i32::try_from(speed_mhz) {
+                Ok(speed_mhz) => speed_mhz,
+                Err(_) if speed_mhz < 0 => i32::MIN,
+                Err(_) => i32::MAX,
+            };
+        }
+    }
+
+    fn end_stop(&mut self) {
+        self.marks.cut(self.now);
+        self.pass_marks_silently();
+        self.planner.forget();
+        for axis in 0..self.axis_count {
+            self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
+        }
+        self.phase = Phase::Stopped;
+    }
+
+    fn pass_marks_silently(&mut self) {
+        while self.pass_marks().is_some() {}
+    }
+
+    /// Plans as much as fits.
+    fn plan(&mut self) {
+        let mut starts_at = None;
+        while let Some(command) = self.ring.peek()
+            && !self.marks.is_full()
+        {
+            let takes_time = ticks_of(&command).is_some_and(|ticks| ticks > 0);
+            let begin = match self.phase {
+                Phase::Decelerating | Phase::Stopped => break,
+                Phase::Playing { timeline } => {
+                    if takes_time && !self.can_append(starts_at.is_some()) {
+                        break;
+                    }
+                    timeline
+                }
+                Phase::Rest if takes_time => {
+                    for axis in self.backend.axes() {
+                        axis.begin();
+                    }
+                    let at = self.now.max(self.quiet_at);
+                    starts_at = Some(at);
+                    at.plus(self.lead_ticks)
+                }
+                Phase::Rest => self.now,
+            };
+            let mut end = begin;
+            if takes_time {
+                let axes = &mut self.backend.axes()[..self.axis_count];
+                end = begin.plus(self.planner.plan(&command, axes));
+                self.phase = Phase::Playing { timeline: end };
+            }
+            self.ring.pop();
+            self.note(&command, end);
+        }
+        if let Some(at) = starts_at {
+            self.started_at = at;
+            self.backend.start(at, self.lead_ticks);
+        }
+    }
+
+    /// Returns whether every axis can take one more command. An axis that has ended cannot go on,
+    /// and then none does: all rest, and start anew together.
+    fn can_append(&mut self, before_start: bool) -> bool {
+        let axes = &self.backend.axes()[..self.axis_count];
+        axes.iter()
+            .all(|axis| axis.has_room() && (before_start || !axis.has_ended()))
+    }
+
+    /// Notes what ends when.
+    fn note(&mut self, command: &Command, end: Ticks) {
+        let mut runs = runs_of(command);
+        let runs = [runs.next(), runs.next()];
+        let what = match *command {
+            Command::Laser { power_percent } => What::Laser { power_percent },
+            Command::LidarRead => What::Lidar,
+            Command::SetPosition {
+                axis,
+                position_steps,
+            } => {
+                let index = usize::from(axis.0);
+                // A position is a place on a ring of 2⁶⁴ steps.
+                let origin_steps = position_steps.wrapping_sub(self.planned_steps[index]);
+                What::Origin { axis, origin_steps }
+            }
+            _ if runs[0].is_some() => What::Moves(runs),
+            _ => What::Rest,
+        };
+        for run in runs.into_iter().flatten() {
+            self.planned_steps[usize::from(run.axis.0)] += i64::from(run.steps);
+        }
+        self.marks.push(Mark { end, what });
+    }
+}
+
+/// Returns when the channels are surely quiet after the end of a timeline: the last step's hold
+/// time and the start skew.
+const fn rest_from(timeline: Ticks) -> Ticks {
+    timeline.plus(HOLD_TICKS_MAX)
+}
+
+/// Returns how long the longer of the runs takes, ticks.
+fn command_ticks(runs: &[Option<Run>; 2]) -> u64 {
+    let ticks = runs.iter().flatten().filter_map(Run::ticks);
+    ticks.max().unwrap_or(0)
+}

@@ -1,0 +1,158 @@
+//! What a motor driver demands of its step and direction inputs, and how its axis may stop.
+
+use crate::limits::{
+    HOLD_TICKS_MAX, LOW_WORD_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, SETUP_TICKS_MAX, TICK_HZ,
+    TURN_LATENCY_TICKS, WORD_TICKS_MIN,
+};
+
+/// One axis. Times are minima, in ns; they are rounded up to whole ticks of 62.5 ns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisProfile {
+    /// Shortest high time of a step.
+    pub high_ns_min: u32,
+    /// Shortest low time between steps.
+    pub low_ns_min: u32,
+    /// High time of slow steps: what `high_ns_min` becomes where there is time for more. Half the
+    /// interval at most.
+    pub high_ns: u32,
+    /// From a change of direction to the next active edge; at most 200 µs.
+    pub dir_setup_ns: u32,
+    /// From the end of a step to a change of direction; at most 200 µs.
+    pub dir_hold_ns: u32,
+    /// Deceleration of a controlled stop, steps/s², from 1.
+    pub stop_accel_hz_per_s: u32,
+}
+
+impl Default for AxisProfile {
+    /// Suits every common driver up to the rate that its own minimum allows: 2.5 µs high where
+    /// there is time, and 1 MHz at most.
+    fn default() -> Self {
+        Self {
+            high_ns_min: 500,
+            low_ns_min: 500,
+            high_ns: 2_500,
+            dir_setup_ns: 10_000,
+            dir_hold_ns: 10_000,
+            stop_accel_hz_per_s: 100_000,
+        }
+    }
+}
+
+impl AxisProfile {
+    /// Allegro A4988 (data sheet; LinuxCNC's stepper table): 500 kHz at most.
+    pub fn a4988() -> Self {
+        Self::of_driver(1_000, 1_000, 200, 200)
+    }
+
+    /// TI DRV8825 (data sheet; LinuxCNC's stepper table): 263 kHz at most.
+    pub fn drv8825() -> Self {
+        Self::of_driver(1_900, 1_900, 650, 650)
+    }
+
+    /// Trinamic TMC22xx and TMC51xx (data sheet; Klipper's default pulse): 5 MHz at most.
+    pub fn tmc2209() -> Self {
+        Self::of_driver(100, 100, 20, 20)
+    }
+
+    /// Leadshine DM556, DM856 (LinuxCNC's stepper table): 200 kHz at most.
+    pub fn dm556() -> Self {
+        Self::of_driver(2_500, 2_500, 5_000, 10_000)
+    }
+
+    fn of_driver(high_ns_min: u32, low_ns_min: u32, dir_setup_ns: u32, dir_hold_ns: u32) -> Self {
+        let default = Self::default();
+        Self {
+            high_ns_min,
+            low_ns_min,
+            high_ns: default.high_ns.max(high_ns_min),
+            dir_setup_ns,
+            dir_hold_ns,
+            ..default
+        }
+    }
+}
+
+/// A profile in ticks, within what the hardware can play.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Timing {
+    pub(crate) high_ticks_min: u64,
+    pub(crate) low_ticks_min: u64,
+    pub(crate) high_ticks: u64,
+    pub(crate) setup_ticks: u64,
+    pub(crate) hold_ticks: u64,
+    pub(crate) stop_accel_hz_per_s: u32,
+}
+
+impl From<AxisProfile> for Timing {
+    fn from(profile: AxisProfile) -> Self {
+        let ticks = |ns: u32| (u64::from(ns) * TICK_HZ).div_ceil(1_000_000_000);
+        let part = |ns: u32| ticks(ns).clamp(PART_TICKS_MIN, LOW_WORD_TICKS_MAX);
+        let high_ticks_min = part(profile.high_ns_min);
+        Self {
+            high_ticks_min,
+            low_ticks_min: part(profile.low_ns_min),
+            high_ticks: part(profile.high_ns).max(high_ticks_min),
+            setup_ticks: ticks(profile.dir_setup_ns).clamp(1, SETUP_TICKS_MAX),
+            hold_ticks: ticks(profile.dir_hold_ns).clamp(1, HOLD_TICKS_MAX),
+            stop_accel_hz_per_s: profile.stop_accel_hz_per_s.max(1),
+        }
+    }
+}
+
+impl Timing {
+    /// Returns the shortest interval between two steps, ticks.
+    pub(crate) const fn interval_ticks_min(&self) -> u64 {
+        self.high_ticks_min + self.low_ticks_min
+    }
+
+    /// Returns the high time of a step with this interval, ticks.
+    pub(crate) fn high_of(&self, interval_ticks: u64) -> u64 {
+        (interval_ticks / 2)
+            .min(self.high_ticks)
+            .min(interval_ticks.saturating_sub(self.low_ticks_min))
+            .max(self.high_ticks_min)
+    }
+
+    /// Returns the rest that must surround a switch of the direction pin, ticks: the rest of a
+    /// half block, then a half block in which the refill finds nothing stepping.
+    pub(crate) fn window_ticks(&self) -> u64 {
+        let half = REFILL_WORDS as u64 * WORD_TICKS_MIN;
+        self.hold_ticks.max(self.low_ticks_min) + half + self.turn_ticks()
+    }
+
+    /// Returns the least that the half block of a turn lasts, ticks.
+    pub(crate) fn turn_ticks(&self) -> u64 {
+        let half = REFILL_WORDS as u64 * WORD_TICKS_MIN;
+        half.max(TURN_LATENCY_TICKS + self.setup_ticks)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nanoseconds_round_up_to_ticks() {
+        let timing = |profile| Timing::from(profile);
+        // LinuxCNC's table: DIR setup of A4988, DRV8825 and DM556 are 4, 11 and 80 ticks.
+        assert_eq!(timing(AxisProfile::a4988()).setup_ticks, 4);
+        assert_eq!(timing(AxisProfile::drv8825()).setup_ticks, 11);
+        assert_eq!(timing(AxisProfile::dm556()).setup_ticks, 80);
+        assert_eq!(timing(AxisProfile::dm556()).hold_ticks, 160);
+        assert_eq!(timing(AxisProfile::drv8825()).interval_ticks_min(), 62);
+        assert_eq!(timing(AxisProfile::tmc2209()).high_ticks_min, 2);
+    }
+
+    #[test]
+    fn slow_steps_get_the_full_high_time_and_fast_ones_half() {
+        let timing = Timing::from(AxisProfile::default());
+        assert_eq!(timing.high_of(16), 8);
+        assert_eq!(timing.high_of(40), 20);
+        assert_eq!(timing.high_of(8_000), 40);
+        let slow_driver = Timing::from(AxisProfile {
+            low_ns_min: 5_000,
+            ..AxisProfile::default()
+        });
+        assert_eq!(slow_driver.high_of(88), 8, "the low time comes first");
+    }
+}

@@ -1,0 +1,215 @@
+//! Orders of the gateway, each taken whole or not at all.
+//!
+//! Commands are numbered, so what becomes of a batch follows from two numbers: what it begins
+//! with and what the node has.
+//!
+//! ```text
+//!   node has        0 ─────────────── accepted
+//!   Duplicate             first ── end
+//!   Overlap                     first ── ── end
+//!   taken                             first ──── end
+//!   Gap                                    first ──── end
+//! ```
+//!
+//! Before that: other queue → `Stale`, stop → `Stopped`. After it: every command is read and
+//! checked (`Malformed`, `BadCommand`), then `QueueShort`, and only then the first one is written
+//! to the ring. So a refused batch leaves no trace in it.
+
+use crate::{Node, Outputs, limits::CREDIT_SHARE, stop::Phase, trace::Event};
+use keys::{
+    BatchAck, BatchHeader, BatchReader, JobId, LocalMicros, Order, QueueId, Refusal, StopMode,
+    StopReason, Verdict,
+    batch::{BATCH_COMMANDS_MAX, ORDER_BYTES_MAX},
+};
+use motion::StepBackend;
+
+/// The job whose commands were accepted last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct CurrentJob {
+    pub(crate) id: JobId,
+    /// Number after its last command in this queue.
+    pub(crate) end: u64,
+}
+
+impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
+    /// Takes an order and returns what became of it.
+    pub(crate) fn take_order(&mut self, payload: &[u8], now: LocalMicros) -> Verdict {
+        let verdict = self.order(payload, now);
+        match verdict {
+            Verdict::Refused(refusal) => self.trace.note(now, Event::Refused(refusal)),
+            Verdict::Duplicate => self.trace.note(now, Event::Duplicate),
+            Verdict::Accepted | Verdict::Credit => {}
+        }
+        verdict
+    }
+
+    fn order(&mut self, payload: &[u8], now: LocalMicros) -> Verdict {
+        if payload.len() > ORDER_BYTES_MAX {
+            return Verdict::Refused(Refusal::Malformed);
+        }
+        let Ok(reader) = BatchReader::new(payload) else {
+            return Verdict::Refused(Refusal::Malformed);
+        };
+        match *reader.order() {
+            Order::Batch(header) => self
+                .batch(header, reader, now)
+                .unwrap_or_else(Verdict::Refused),
+            Order::Cancel { queue, mode } => self.cancel(queue, mode, now),
+            Order::Release { queue } => self.release(queue, now),
+        }
+    }
+
+    fn batch(
+        &mut self,
+        header: BatchHeader,
+        reader: BatchReader<'_>,
+        now: LocalMicros,
+    ) -> Result<Verdict, Refusal> {
+        let count = usize::from(header.command_count);
+        let end = header
+            .first_command
+            .checked_add(u64::from(header.command_count))
+            .filter(|end| *end <= header.job_end)
+            .filter(|_| (1..=BATCH_COMMANDS_MAX).contains(&count))
+            .ok_or(Refusal::Malformed)?;
+        if header.queue != self.queue {
+            return Err(Refusal::Stale);
+        }
+        match self.phase {
+            Phase::Open => {}
+            // The queue is on its way out; the one after it is open.
+            Phase::Stopping {
+                reason: StopReason::Cancel,
+                ..
+            } => return Err(Refusal::Stale),
+            Phase::Stopping { .. } | Phase::Latched { .. } => return Err(Refusal::Stopped),
+        }
+        let accepted = self.motion.accepted_commands();
+        if end <= accepted {
+            return Ok(Verdict::Duplicate);
+        }
+        if header.first_command < accepted {
+            return Err(Refusal::Overlap);
+        }
+        if header.first_command > accepted {
+            return Err(Refusal::Gap);
+        }
+        let mut check = reader.clone();
+        for index in 0..header.command_count {
+            let command = check
+                .next_command()
+                .ok()
+                .flatten()
+                .ok_or(Refusal::Malformed)?;
+            self.motion
+                .check(&command)
+                .map_err(|_| Refusal::BadCommand { index })?;
+        }
+        if check.next_command().is_err() {
+            return Err(Refusal::Malformed);
+        }
+
+        let mut reader = reader;
+        let mut reservation = self
+            .motion
+            .reserve(count)
+            .map_err(|_| Refusal::QueueShort)?;
+        while let Ok(Some(command)) = reader.next_command() {
+            reservation.push(&command);
+        }
+        reservation.commit();
+        self.motion.expect_more(header.job_end);
+        let job = CurrentJob {
+            id: header.job,
+            end: header.job_end,
+        };
+        if self.job != Some(job) {
+            self.job = Some(job);
+            self.status_due = true;
+        }
+        self.trace.note(
+            now,
+            Event::BatchTaken {
+                command_count: header.command_count,
+            },
+        );
+        Ok(Verdict::Accepted)
+    }
+
+    fn cancel(&mut self, queue: QueueId, mode: StopMode, now: LocalMicros) -> Verdict {
+        if queue != self.queue {
+            // A queue of this boot that is over: the cancel, or something like it, was carried out.
+            let over = queue.boot == self.queue.boot && queue.flush < self.queue.flush;
+            return if over {
+                Verdict::Duplicate
+            } else {
+                Verdict::Refused(Refusal::Stale)
+            };
+        }
+        match self.phase {
+            Phase::Open => {
+                self.begin_stop(StopReason::Cancel, mode, now);
+                Verdict::Accepted
+            }
+            Phase::Stopping { .. } => {
+                // Nothing is dropped twice, but a halt is still harder than a deceleration.
+                self.begin_stop(StopReason::Cancel, mode, now);
+                Verdict::Duplicate
+            }
+            Phase::Latched { .. } => Verdict::Refused(Refusal::Stopped),
+        }
+    }
+
+    fn release(&mut self, queue: QueueId, now: LocalMicros) -> Verdict {
+        if queue != self.queue {
+            return Verdict::Refused(Refusal::Stale);
+        }
+        match self.phase {
+            Phase::Open => Verdict::Duplicate,
+            // The queue that begins with this stop does not exist yet, so this is an older release.
+            Phase::Stopping { .. } => Verdict::Refused(Refusal::Stopped),
+            Phase::Latched { .. } if self.stop_pin_active => Verdict::Refused(Refusal::Stopped),
+            Phase::Latched { .. } => {
+                self.phase = Phase::Open;
+                self.status_due = true;
+                self.trace.note(now, Event::Released);
+                self.log(now, format_args!("released"));
+                Verdict::Accepted
+            }
+        }
+    }
+
+    /// Queues the answer to an order, or a credit. Without a link there is nobody to tell.
+    pub(crate) fn acknowledge(&mut self, verdict: Verdict, now: LocalMicros) {
+        if !self.link_up() {
+            return;
+        }
+        let credit = self.motion.credit_commands();
+        self.credit_told = credit;
+        let overtaken = self.outbox.push_ack(BatchAck {
+            queue: self.queue,
+            verdict,
+            accepted_commands: self.motion.accepted_commands(),
+            executed_commands: self.motion.executed_commands(),
+            credit_commands: u32::try_from(credit).unwrap_or(u32::MAX),
+        });
+        if overtaken {
+            self.trace.note(now, Event::ReplyDropped);
+        }
+    }
+
+    /// Tells the credit unasked when much room has become free and the job has more to send.
+    pub(crate) fn tell_credit(&mut self, now: LocalMicros) {
+        let more_to_come = self
+            .job
+            .is_some_and(|job| self.motion.accepted_commands() < job.end);
+        let grown = self
+            .motion
+            .credit_commands()
+            .saturating_sub(self.credit_told);
+        let share = self.ring_commands.div_ceil(CREDIT_SHARE);
+        if more_to_come && self.phase == Phase::Open && grown >= share {
+            self.acknowledge(Verdict::Credit, now);
+        }
+    }
+}

@@ -1,0 +1,458 @@
+//! The node without hardware: messages to motion and back.
+//!
+//! ```text
+//!                    ┌────────────────────────── Node ──────────────────────────┐
+//!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
+//!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
+//!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
+//!                    │          report.rs ◀── position ─┘                       │
+//!                    │              │                                           │
+//!                    └──────── outbox.rs ────────────────────────────────────────┘
+//!                        ack, status, clock, log
+//! ```
+//!
+//! Start with [`Node`]: five verbs ([`Node::handle`], [`Node::poll`], [`Node::poll_timeout`],
+//! [`Node::poll_outbox`], [`Node::stop`]), no socket, no clock, no pin. `intake.rs` is the way of
+//! a batch, `stop.rs` the one stop path, `run.rs` the zenoh session around it.
+#![no_std]
+
+pub mod limits;
+pub mod outbox;
+pub mod run;
+pub mod trace;
+
+mod clock;
+mod intake;
+mod report;
+mod stop;
+
+pub use outbox::Outbound;
+
+use crate::{
+    intake::CurrentJob,
+    limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX},
+    outbox::Outbox,
+    stop::Phase,
+    trace::{Event, Trace},
+};
+use core::sync::atomic::AtomicU32;
+use keys::{
+    Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop, StopMode,
+    StopReason, StopReport,
+    clock::{ClockMessage, ClockReply},
+    status::{FAULTS_MAX, FaultCode},
+    version,
+};
+use motion::{CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks};
+
+/// What to do when the link stays away while commands are executed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LinkLoss {
+    /// Execute what the ring holds.
+    Finish,
+    /// Stop by the ramp that each axis allows; the latch is set.
+    #[default]
+    Decelerate,
+    /// Stop at once; the latch is set.
+    Halt,
+}
+
+/// What a node is told at its boot.
+#[derive(Clone, Debug)]
+pub struct NodeConfig {
+    /// Its name: the chunk in its keys.
+    pub name: NodeId,
+    /// The keys of its fleet.
+    pub keys: Keys,
+    /// Random number of this boot: the gateway sees by it that the queue began anew.
+    pub boot: u32,
+    /// Version of the firmware.
+    pub firmware: [u8; 3],
+    /// The axes.
+    pub motion: MotionConfig,
+    /// What to do when the link stays away while commands are executed.
+    pub link_loss: LinkLoss,
+    /// How long the link must be gone for that, µs.
+    pub link_loss_after_us: u64,
+}
+
+impl NodeConfig {
+    /// Returns the defaults for a node of this name.
+    pub fn new(name: NodeId, boot: u32) -> Self {
+        Self {
+            name,
+            keys: Keys::default(),
+            boot,
+            firmware: [0, 1, 0],
+            motion: MotionConfig::default(),
+            link_loss: LinkLoss::default(),
+            link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
+        }
+    }
+}
+
+/// What comes in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Inbound<'b> {
+    /// The session is open and everything is declared.
+    LinkUp,
+    /// The session is gone.
+    LinkDown,
+    /// A message on one of the node's keys.
+    Message {
+        /// The last chunk of the key.
+        topic: NodeTopic,
+        /// Its bytes.
+        payload: &'b [u8],
+    },
+    /// A lidar reading, mm.
+    Lidar {
+        /// The distance.
+        mm: u32,
+    },
+    /// The stop input: `active` stops at once, and no release is taken until it is inactive.
+    StopPin {
+        /// Whether the stop is demanded.
+        active: bool,
+    },
+    /// Signal strength of the link, dBm.
+    SignalStrength {
+        /// `None` without WiFi.
+        rssi_dbm: Option<i8>,
+    },
+}
+
+/// The outputs beside the step pins.
+pub trait Outputs {
+    /// Sets the laser's power, 0 to 100 percent.
+    fn set_laser(&mut self, power_percent: u8);
+
+    /// Asks for a lidar reading; it comes back as [`Inbound::Lidar`].
+    fn request_lidar(&mut self);
+}
+
+/// The firmware minus hardware. See the crate for the picture.
+#[derive(Debug)]
+pub struct Node<'m, B: StepBackend, O: Outputs> {
+    config: NodeConfig,
+    motion: Motion<'m, B>,
+    outputs: O,
+    ring_commands: usize,
+    /// The latest `now`: time does not go back here, whatever the caller says.
+    now: LocalMicros,
+    queue: QueueId,
+    phase: Phase,
+    job: Option<CurrentJob>,
+    last_stop: Option<StopReport>,
+    stop_pin_active: bool,
+    /// Since when the link is gone, `None` while it is there.
+    link_gone_at: Option<LocalMicros>,
+    /// The policy was applied to this absence.
+    link_loss_settled: bool,
+    /// What it did, to be told when the link is back.
+    link_loss_outcome: Option<&'static str>,
+    credit_told: usize,
+    status_due: bool,
+    status_told_at: LocalMicros,
+    state_told: NodeState,
+    faults: heapless::Vec<Fault, FAULTS_MAX>,
+    laser_percent: u8,
+    lidar_mm: Option<u32>,
+    rssi_dbm: Option<i8>,
+    outbox: Outbox,
+    trace: Trace,
+}
+
+/// Returns the tick that begins at this microsecond.
+pub(crate) const fn ticks_from_local(at: LocalMicros) -> Ticks {
+    Ticks(at.0.saturating_mul(TICKS_PER_US))
+}
+
+/// Returns the first microsecond that does not lie before this tick.
+const fn local_from_ticks(at: Ticks) -> LocalMicros {
+    LocalMicros(at.0.div_ceil(TICKS_PER_US))
+}
+
+impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
+    /// Boots: an empty queue over `memory` (8 words a command), positions at 0, no latch, no link.
+    pub fn new(memory: &'m [AtomicU32], backend: B, outputs: O, config: NodeConfig) -> Self {
+        let motion = Motion::new(CommandRing::new(memory), backend, config.motion.clone());
+        let ring_commands = motion.credit_commands();
+        let mut node = Self {
+            queue: QueueId {
+                boot: config.boot,
+                flush: 0,
+            },
+            config,
+            motion,
+            outputs,
+            ring_commands,
+            now: LocalMicros(0),
+            phase: Phase::Open,
+            job: None,
+            last_stop: None,
+            stop_pin_active: false,
+            link_gone_at: Some(LocalMicros(0)),
+            link_loss_settled: false,
+            link_loss_outcome: None,
+            credit_told: ring_commands,
+            status_due: false,
+            status_told_at: LocalMicros(0),
+            state_told: NodeState::Idle,
+            faults: heapless::Vec::new(),
+            laser_percent: 0,
+            lidar_mm: None,
+            rssi_dbm: None,
+            outbox: Outbox::new(),
+            trace: Trace::new(),
+        };
+        let [major, minor, patch] = node.config.firmware;
+        node.log(
+            LocalMicros(0),
+            format_args!("started, firmware {major}.{minor}.{patch}"),
+        );
+        node
+    }
+
+    /// Takes in what happened.
+    pub fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
+        let now = self.advance_to(now);
+        match inbound {
+            // What is urgent goes before the planning that the others begin with.
+            Inbound::Message {
+                topic: NodeTopic::Stop,
+                payload,
+            } => {
+                self.begin_stop(StopReason::Client, Stop::from_payload(payload).mode, now);
+            }
+            Inbound::StopPin { active } => {
+                self.stop_pin_active = active;
+                if active {
+                    self.begin_stop(StopReason::Pin, StopMode::Halt, now);
+                }
+            }
+            Inbound::Message {
+                topic: NodeTopic::Clock,
+                payload,
+            } => {
+                self.take_clock(payload, now);
+                return;
+            }
+            Inbound::Message {
+                topic: NodeTopic::Batch,
+                payload,
+            } => {
+                // Books what has ended, so that the answer counts it.
+                self.run_motion(now);
+                let verdict = self.take_order(payload, now);
+                self.run_motion(now);
+                self.acknowledge(verdict, now);
+            }
+            Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
+            Inbound::LinkUp => self.take_link_up(now),
+            Inbound::LinkDown => self.take_link_down(now),
+            Inbound::Lidar { mm } => self.lidar_mm = Some(mm),
+            Inbound::SignalStrength { rssi_dbm } => self.rssi_dbm = rssi_dbm,
+        }
+        self.run_motion(now);
+        self.settle(now);
+    }
+
+    /// Lets time pass: plans, books, reports. Call it at [`Node::poll_timeout`], or earlier.
+    pub fn poll(&mut self, now: LocalMicros) {
+        let now = self.advance_to(now);
+        self.run_motion(now);
+        self.watch_link(now);
+        self.run_motion(now);
+        self.settle(now);
+    }
+
+    /// Returns when [`Node::poll`] has something to do next, or [`Node::poll_outbox`] something
+    /// to give; `None` if only a message can change anything.
+    pub fn poll_timeout(&self) -> Option<LocalMicros> {
+        let link_loss = self
+            .link_gone_at
+            .filter(|_| !self.link_loss_settled)
+            .map(|gone_at| gone_at.plus_us(self.config.link_loss_after_us));
+        let line = self.outbox.line_timeout().filter(|_| self.link_up());
+        [
+            self.motion.poll_timeout().map(local_from_ticks),
+            self.status_timeout(),
+            link_loss,
+            line,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+    }
+
+    /// Gives the next message that may leave now, `None` if there is none or no link. Call it
+    /// after every [`Node::handle`] and [`Node::poll`] until it gives `None`.
+    pub fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
+        let now = self.advance_to(now);
+        if !self.link_up() {
+            return None;
+        }
+        if let Some(probed) = self.outbox.pop_probe() {
+            let reply = ClockMessage::Reply(ClockReply {
+                probe: probed.probe.probe,
+                boot: self.queue.boot,
+                sent_at: probed.probe.sent_at,
+                received_at: probed.received_at,
+                replied_at: now,
+            });
+            return Some(outbound(NodeTopic::Clock, &reply));
+        }
+        if let Some(ack) = self.outbox.pop_ack() {
+            return Some(outbound(NodeTopic::Ack, &ack));
+        }
+        if self.status_due {
+            self.status_due = false;
+            self.status_told_at = now;
+            return Some(outbound(NodeTopic::Status, &self.status()));
+        }
+        let line = self.outbox.pop_line(now)?;
+        Some(Outbound {
+            topic: NodeTopic::Log,
+            payload: line.as_bytes().iter().copied().collect(),
+        })
+    }
+
+    /// Returns what it was told at its boot.
+    pub fn config(&self) -> &NodeConfig {
+        &self.config
+    }
+
+    /// Returns the present queue.
+    pub fn queue(&self) -> QueueId {
+        self.queue
+    }
+
+    /// Returns the job whose commands were accepted last and have not all ended.
+    pub fn job(&self) -> Option<JobId> {
+        self.job.map(|job| job.id)
+    }
+
+    /// Returns how the queue before this one ended, `None` since boot if none did.
+    pub fn last_stop(&self) -> Option<&StopReport> {
+        self.last_stop.as_ref()
+    }
+
+    /// Returns how many commands the ring holds when empty.
+    pub fn ring_commands(&self) -> usize {
+        self.ring_commands
+    }
+
+    /// Returns whether the link is there.
+    pub fn link_up(&self) -> bool {
+        self.link_gone_at.is_none()
+    }
+
+    /// Returns motion, to look at.
+    pub fn motion(&self) -> &Motion<'m, B> {
+        &self.motion
+    }
+
+    /// Returns motion, for those who emulate its hardware.
+    pub fn motion_mut(&mut self) -> &mut Motion<'m, B> {
+        &mut self.motion
+    }
+
+    /// Returns the outputs.
+    pub fn outputs(&self) -> &O {
+        &self.outputs
+    }
+
+    /// Returns the outputs, for those who emulate them.
+    pub fn outputs_mut(&mut self) -> &mut O {
+        &mut self.outputs
+    }
+
+    /// Returns the last events and their counters.
+    pub fn trace(&self) -> &Trace {
+        &self.trace
+    }
+
+    fn advance_to(&mut self, now: LocalMicros) -> LocalMicros {
+        self.now = self.now.max(now);
+        self.now
+    }
+
+    /// Lets motion plan and book up to `now`, and acts on what it says.
+    fn run_motion(&mut self, now: LocalMicros) {
+        while let Some(event) = self.motion.poll(ticks_from_local(now)) {
+            match event {
+                // A stop has switched the laser off; what was planned before it does not count.
+                MotionEvent::Laser { .. } if self.phase != Phase::Open => {}
+                MotionEvent::Laser { power_percent } => self.set_laser(power_percent),
+                MotionEvent::LidarRequest => self.outputs.request_lidar(),
+                MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
+                MotionEvent::Rest => {}
+                MotionEvent::Stopped => self.complete_stop(now),
+                MotionEvent::Fault(code) => {
+                    self.note_fault(code, now);
+                    self.begin_stop(StopReason::Fault, StopMode::Halt, now);
+                }
+            }
+        }
+    }
+
+    /// Draws the conclusions after anything happened: job over, credit, status.
+    fn settle(&mut self, now: LocalMicros) {
+        if self
+            .job
+            .is_some_and(|job| self.motion.executed_commands() >= job.end)
+        {
+            self.job = None;
+            self.status_due = true;
+        }
+        self.tell_credit(now);
+        self.outbox.earn_line_tokens(now);
+        let state = self.state();
+        if state != self.state_told {
+            self.state_told = state;
+            self.status_due = true;
+        }
+        if self.status_timeout().is_some_and(|due| due <= now) {
+            self.status_due = true;
+        }
+    }
+
+    fn set_laser(&mut self, power_percent: u8) {
+        self.laser_percent = power_percent;
+        self.outputs.set_laser(power_percent);
+    }
+
+    fn take_link_up(&mut self, now: LocalMicros) {
+        self.trace.note(now, Event::LinkUp);
+        let gone_at = self.link_gone_at.take().unwrap_or(now);
+        if let Some(outcome) = self.link_loss_outcome.take() {
+            let gone_ms = now.since_us(gone_at) / 1000;
+            self.log(
+                now,
+                format_args!("the link was gone for {gone_ms} ms while moving: {outcome}"),
+            );
+        }
+        self.link_loss_settled = false;
+        self.status_due = true;
+    }
+
+    fn take_link_down(&mut self, now: LocalMicros) {
+        self.outbox.link_down();
+        if self.link_gone_at.is_none() {
+            self.trace.note(now, Event::LinkDown);
+            self.link_gone_at = Some(now);
+            self.link_loss_settled = false;
+        }
+    }
+}
+
+fn outbound<M: serde::Serialize>(topic: NodeTopic, message: &M) -> Outbound {
+    let mut bytes = [0; OUTBOUND_BYTES_MAX];
+    let used = version::encode(message, &mut bytes)
+        .expect("OUTBOUND_BYTES_MAX holds every message of a node");
+    Outbound {
+        topic,
+        payload: used.iter().copied().collect(),
+    }
+}

@@ -1,0 +1,48 @@
+//! Every number of the node, with its reason.
+
+/// Commands that a ring holds when nothing else is said: 4096 records of 32 bytes are 128 KiB of
+/// PSRAM.
+pub const RING_COMMANDS_DEFAULT: usize = 4096;
+
+/// Time between two statuses while commands are executed: 10 a second.
+pub const STATUS_ACTIVE_US: u64 = 100_000;
+
+/// Time between two statuses otherwise: 1 a second.
+pub const STATUS_IDLE_US: u64 = 1_000_000;
+
+/// How long the link may be gone before the policy of [`LinkLoss`](crate::LinkLoss) applies.
+/// A router that restarts and a WiFi roam take about a second; a machine without anybody who
+/// could cancel a job should not move much longer.
+pub const LINK_LOSS_AFTER_US_DEFAULT: u64 = 2_000_000;
+
+/// Acks that wait for the link. Four batches may be on their way at a time, each with one ack,
+/// and a credit beside them.
+pub const ACKS_MAX: usize = 8;
+
+/// Clock replies that wait for the link. An older one than that measures the wait, not the clock.
+pub const CLOCK_REPLIES_MAX: usize = 4;
+
+/// Log lines that wait for the link or for their turn.
+pub const LOG_LINES_MAX: usize = 16;
+
+/// Longest log line; what is longer is cut.
+pub const LOG_LINE_BYTES_MAX: usize = 160;
+
+/// Log lines that may leave at once.
+pub const LOG_BURST_LINES: u8 = 8;
+
+/// After a burst, one more log line may leave each 200 ms: 5 a second.
+pub const LOG_LINE_US: u64 = 200_000;
+
+/// Events that the trace keeps.
+pub const TRACE_EVENTS: usize = 64;
+
+/// A credit is told unasked when this part of the ring has become free since it was told last.
+/// A quarter: the gateway can send again while three quarters are still to be executed, and a
+/// job causes at most four such acks for each filling of the ring.
+pub const CREDIT_SHARE: usize = 4;
+
+/// Most bytes of one outbound message: a status is the longest.
+pub const OUTBOUND_BYTES_MAX: usize = keys::status::STATUS_BYTES_MAX;
+
+const _: () = assert!(LOG_LINE_BYTES_MAX <= OUTBOUND_BYTES_MAX);

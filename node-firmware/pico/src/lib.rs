@@ -1,0 +1,51 @@
+//! A zenoh client for constrained devices, as a state machine.
+//!
+//! ```text
+//!            application                         App::poll in driver.rs
+//!   declare put get reply │ ▲ poll_event
+//!                         ▼ │
+//!   ┌───────────────── Session ─────────────────┐
+//!   │ declarations  queries  peer   ◀─ session/ │   no clock, no socket
+//!   │ transmit ─▶ batches   batches ─▶ receive  │
+//!   └──────┬────────────────────────────▲───────┘
+//!  poll_transmit                  handle_bytes
+//!          ▼                            │
+//!            driver.rs: connect, read, write, wait
+//! ```
+//!
+//! Read [`session`] first, then [`event`] for what is said and heard, then [`driver`] for the
+//! shell around it. [`limits`] has every bound.
+//!
+//! The feature set and the behaviour on the wire are those of a zenoh-pico client over TCP,
+//! with two additions: priorities with their own sequences, and user/password authentication.
+//! Messages are encoded and decoded by the zenoh project's own `no_std` crates.
+//!
+//! Deliberately absent: scouting, peers and multicast, TLS (a [`driver::Connect`] may bring
+//! its own stream), shared memory, compression, and anything about what the bytes mean.
+#![no_std]
+
+extern crate alloc;
+#[cfg(test)]
+extern crate std;
+
+mod backoff;
+mod declarations;
+pub mod driver;
+pub mod event;
+pub mod limits;
+mod peer;
+mod queries;
+mod random;
+pub mod reader;
+mod receive;
+pub mod session;
+mod transmit;
+mod wire;
+
+pub use event::{
+    CloseReason, Congestion, Consolidation, Counters, DeclareError, Encoding, Event, GetError,
+    GetOptions, InboundQuery, KeyId, KeyRef, LivelinessId, PeerReason, Priority, PublisherId,
+    PutError, PutOptions, QueryId, QueryTarget, QueryableId, ReplyError, Sample, SampleKind,
+    SessionError, SubscriberId, Timestamp, TokenId, UndeclareError,
+};
+pub use session::{Credentials, Session, SessionConfig};

@@ -1,0 +1,127 @@
+//! What the peer has told us: its key numbers, who subscribes, who is alive.
+//!
+//! Owns three bounded tables that begin empty with each connection. What does not fit is counted
+//! as refused: messages under an unknown number are dropped, a token beyond the bound is not
+//! reported, and when subscribers overflow every publisher counts as wanted.
+
+use alloc::{collections::BTreeMap, string::String, vec::Vec};
+
+use zenoh_keyexpr::{OwnedKeyExpr, keyexpr};
+use zenoh_protocol::{
+    core::{ExprId, WireExpr},
+    network::Mapping,
+};
+
+use crate::{
+    declarations::{Declarations, joined},
+    limits,
+};
+
+/// A token of somebody, and which of our liveliness subscribers know of it.
+#[derive(Debug)]
+pub(crate) struct PeerToken {
+    pub(crate) id: u32,
+    pub(crate) key: OwnedKeyExpr,
+    pub(crate) told: Vec<u32>,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Peer {
+    keys: BTreeMap<ExprId, String>,
+    subscribers: Vec<(u32, OwnedKeyExpr)>,
+    subscribers_overflowed: bool,
+    tokens: Vec<PeerToken>,
+}
+
+/// A table has no room.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Refused;
+
+impl Peer {
+    pub(crate) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    pub(crate) fn declare_key(&mut self, expr: ExprId, key: String) -> Result<(), Refused> {
+        if self.keys.len() >= limits::PEER_KEYS_MAX && !self.keys.contains_key(&expr) {
+            return Err(Refused);
+        }
+        self.keys.insert(expr, key);
+        Ok(())
+    }
+
+    pub(crate) fn undeclare_key(&mut self, expr: ExprId) -> bool {
+        self.keys.remove(&expr).is_some()
+    }
+
+    /// The key that an expression of the peer means.
+    pub(crate) fn resolve(&self, own: &Declarations, expr: WireExpr<'static>) -> Option<String> {
+        if expr.scope == 0 {
+            return Some(expr.suffix.into_owned());
+        }
+        let base = match expr.mapping {
+            Mapping::Sender => self.keys.get(&expr.scope)?,
+            Mapping::Receiver => own.key(expr.scope)?,
+        };
+        Some(joined(base, &expr.suffix))
+    }
+
+    pub(crate) fn declare_subscriber(&mut self, id: u32, key: &keyexpr) -> Result<(), Refused> {
+        if let Some((_, known)) = self.subscribers.iter_mut().find(|(known, _)| *known == id) {
+            *known = key.into();
+            return Ok(());
+        }
+        if self.subscribers.len() >= limits::PEER_SUBSCRIBERS_MAX {
+            self.subscribers_overflowed = true;
+            return Err(Refused);
+        }
+        self.subscribers.push((id, key.into()));
+        Ok(())
+    }
+
+    pub(crate) fn undeclare_subscriber(&mut self, id: u32) -> bool {
+        let count = self.subscribers.len();
+        self.subscribers.retain(|(known, _)| *known != id);
+        // Beyond the bound we cannot tell whose end this is.
+        self.subscribers.len() != count || self.subscribers_overflowed
+    }
+
+    /// Whether somebody wants what is published on `key`.
+    pub(crate) fn wants(&self, key: &keyexpr) -> bool {
+        self.subscribers_overflowed || self.subscribers.iter().any(|(_, k)| k.intersects(key))
+    }
+
+    /// The token of this number, new if there is none with this key.
+    pub(crate) fn declare_token(
+        &mut self,
+        id: u32,
+        key: &keyexpr,
+    ) -> Result<&mut PeerToken, Refused> {
+        let index = match self.tokens.iter().position(|token| token.id == id) {
+            Some(index) => index,
+            None if self.tokens.len() >= limits::PEER_TOKENS_MAX => return Err(Refused),
+            None => {
+                self.tokens.push(PeerToken {
+                    id,
+                    key: key.into(),
+                    told: Vec::new(),
+                });
+                self.tokens.len() - 1
+            }
+        };
+        Ok(&mut self.tokens[index])
+    }
+
+    pub(crate) fn undeclare_token(&mut self, id: u32) -> Option<PeerToken> {
+        let index = self.tokens.iter().position(|token| token.id == id)?;
+        Some(self.tokens.swap_remove(index))
+    }
+
+    /// A liveliness subscriber left: nobody remembers what it was told.
+    pub(crate) fn forget_told(&mut self, subscriber: u32) {
+        for token in &mut self.tokens {
+            token.told.retain(|told| *told != subscriber);
+        }
+        self.tokens.retain(|token| !token.told.is_empty());
+    }
+}

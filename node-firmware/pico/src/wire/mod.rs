@@ -1,0 +1,7 @@
+//! From our types to the official messages and back.
+//!
+//! The bytes are those of `zenoh-codec`; this module only fills and empties its structures.
+//! [`handshake`] holds the four messages that open a session, [`network`] what is said in frames.
+
+pub(crate) mod handshake;
+pub(crate) mod network;
