@@ -8,7 +8,8 @@ use crate::{
     command::{LINE_AXES, Ramp, RampShape},
     record::{ErrorCode, JobError},
 };
-use serde::{Deserialize, Serialize};
+use core::{fmt, marker::PhantomData};
+use serde::{Deserialize, Deserializer, Serialize, de};
 use std::{
     format,
     string::{String, ToString},
@@ -23,6 +24,9 @@ pub const JOB_COMMANDS_MAX: usize = 1_000_000;
 
 /// Longest pause, ms: one day.
 pub const PAUSE_MS_MAX: u32 = 86_400_000;
+
+/// Longest move, µs: the longest that a node can count, 9,139 years.
+pub const MOVE_US_MAX: u64 = 1 << 58;
 
 /// Longest name of a barrier, bytes.
 pub const BARRIER_BYTES_MAX: usize = 64;
@@ -65,27 +69,65 @@ pub enum Offline {
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum JobCommand {
     /// Steps at one interval.
+    #[serde(deserialize_with = "object")]
     Move(MoveFields),
     /// Two moves that start on the same tick.
+    #[serde(deserialize_with = "object")]
     SyncMove(SyncMoveFields),
     /// A relative move with ramps.
+    #[serde(deserialize_with = "object")]
     Ramp(RampFields),
     /// An absolute move with ramps.
+    #[serde(deserialize_with = "object")]
     RampTo(RampToFields),
     /// A straight line of all axes.
+    #[serde(deserialize_with = "object")]
     Line(LineFields),
     /// A rest.
+    #[serde(deserialize_with = "object")]
     Pause(PauseFields),
     /// Laser power.
+    #[serde(deserialize_with = "object")]
     Laser(LaserFields),
     /// A lidar reading.
+    #[serde(deserialize_with = "object")]
     LidarRead(LidarReadFields),
     /// Find the reference switch.
+    #[serde(deserialize_with = "object")]
     Home(HomeFields),
     /// Name the present place.
+    #[serde(deserialize_with = "object")]
     SetPosition(SetPositionFields),
     /// A meeting point.
+    #[serde(deserialize_with = "object")]
     Barrier(BarrierFields),
+}
+
+/// Reads the fields of a command. In text they have names: serde alone would take an array, too.
+fn object<'de, D, T>(reader: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    struct Named<T>(PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>> de::Visitor<'de> for Named<T> {
+        type Value = T;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "an object")
+        }
+
+        fn visit_map<A: de::MapAccess<'de>>(self, fields: A) -> Result<T, A::Error> {
+            T::deserialize(de::value::MapAccessDeserializer::new(fields))
+        }
+    }
+
+    if reader.is_human_readable() {
+        reader.deserialize_map(Named(PhantomData))
+    } else {
+        T::deserialize(reader)
+    }
 }
 
 macro_rules! fields {
@@ -251,11 +293,18 @@ impl JobRequest {
             return Err(too_large_bytes(payload.len()));
         }
         let mut reader = serde_json::Deserializer::from_slice(payload);
+        let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
+        if first == Some(&b'[') {
+            let message = "a job is a JSON object, not an array";
+            return Err(JobError::new(ErrorCode::BadJson, message));
+        }
         let raw: RawJob = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
             let place = error.path().to_string();
-            json_error(&place, error.inner())
+            json_error(payload, &place, error.inner())
         })?;
-        reader.end().map_err(|error| json_error(".", &error))?;
+        reader
+            .end()
+            .map_err(|error| json_error(payload, ".", &error))?;
         let id = match raw.id {
             None => None,
             Some(text) => Some(
@@ -406,6 +455,19 @@ impl JobCommand {
             i32::MIN => Err(self.error(field, "out of range; at most 2147483647 steps either way")),
             _ => Ok(()),
         };
+        let duration = |field: &str, delay_us: u32, steps: i32| {
+            let takes_us = u64::from(delay_us) * u64::from(steps.unsigned_abs());
+            if takes_us > MOVE_US_MAX {
+                return Err(self.error(
+                    field,
+                    format!(
+                        "{delay_us} is out of range; with so many steps at most {} µs",
+                        MOVE_US_MAX / u64::from(steps.unsigned_abs())
+                    ),
+                ));
+            }
+            Ok(())
+        };
         let positive = |field: &str, value: u32| match value {
             0 => Err(self.error(field, "0 is out of range; it must be at least 1")),
             _ => Ok(()),
@@ -420,12 +482,15 @@ impl JobCommand {
         match self {
             Self::Move(fields) => {
                 delay("delay_us", fields.delay_us)?;
-                steps("steps", fields.steps)
+                steps("steps", fields.steps)?;
+                duration("delay_us", fields.delay_us, fields.steps)
             }
             Self::SyncMove(fields) => {
                 for index in 0..2 {
                     delay(&format!("delay_us[{index}]"), fields.delay_us[index])?;
                     steps(&format!("steps[{index}]"), fields.steps[index])?;
+                    let place = format!("delay_us[{index}]");
+                    duration(&place, fields.delay_us[index], fields.steps[index])?;
                 }
                 Ok(())
             }
@@ -555,18 +620,33 @@ fn too_large_bytes(byte_count: usize) -> JobError {
 }
 
 /// Turns serde's message into ours: the place first, line and column last.
-fn json_error(place: &str, error: &serde_json::Error) -> JobError {
+fn json_error(payload: &[u8], place: &str, error: &serde_json::Error) -> JobError {
     use serde_json::error::Category;
     let in_commands = place.starts_with("commands[");
+    // One item too many is a syntax error to the reader of a list, although the text is JSON.
+    let too_many = error.is_syntax() && serde_json::from_slice::<de::IgnoredAny>(payload).is_ok();
     let code = match error.classify() {
         Category::Data if in_commands => ErrorCode::BadCommand,
+        Category::Syntax if in_commands && too_many => ErrorCode::BadCommand,
         _ => ErrorCode::BadJson,
+    };
+    let words = if too_many {
+        let (line, column) = (error.line(), error.column());
+        let what = match place.strip_prefix("commands[") {
+            Some(rest) if rest.ends_with(']') && !rest.contains('.') => {
+                "more than one command in one object"
+            }
+            _ => "too many items",
+        };
+        format!("{what} at line {line} column {column}")
+    } else {
+        error.to_string()
     };
     // An unknown field's path ends in the field itself; serde's words name it again.
     let message = if place == "." || place.is_empty() || place == "?" {
-        error.to_string()
+        words
     } else {
-        format!("{place}: {error}")
+        format!("{place}: {words}")
     };
     JobError::new(code, message)
 }

@@ -71,6 +71,46 @@ fn everything_wrong_is_named_with_its_place() {
         ("{}".into(), BadJson, "a job needs `commands` or `lua`"),
         (r#"{"commands":[],"lua":""}"#.into(), BadJson, "not both"),
         (
+            command(r#"{"laser":{"power_percent":1},"pause":{"ms":1}}"#),
+            BadCommand,
+            "commands[1]: more than one command in one object at line 1 column",
+        ),
+        (
+            command(r#"{"move":[0,5,1]}"#),
+            BadCommand,
+            "commands[1].move: invalid type: sequence, expected an object",
+        ),
+        (
+            command(r#"{"lidar_read":[]}"#),
+            BadCommand,
+            "commands[1].lidar_read: invalid type: sequence, expected an object",
+        ),
+        (
+            r#" ["a",[{"lidar_read":{}}],null,null,null]"#.into(),
+            BadJson,
+            "a job is a JSON object",
+        ),
+        (
+            command(r#"{"sync_move":{"delay_us":[5,5],"steps":[5,5,5]}}"#),
+            BadCommand,
+            "commands[1].sync_move.steps: too many items at line 1 column",
+        ),
+        (
+            command(r#"{"move":{"axis":0,"delay_us":134217729,"steps":-2147483647}}"#),
+            BadCommand,
+            "commands[1].move.delay_us: 134217729 is out of range; with so many steps at most 134217728 µs",
+        ),
+        (
+            command(r#"{"sync_move":{"delay_us":[5,4294967295],"steps":[5,2147483647]}}"#),
+            BadCommand,
+            "commands[1].sync_move.delay_us[1]: 4294967295 is out of range",
+        ),
+        (
+            r#"{"commands":[{"lidar_read":{}},]}"#.into(),
+            BadJson,
+            "trailing comma",
+        ),
+        (
             r#"{"commands":[]}"#.into(),
             BadCommand,
             "commands: the list is empty",

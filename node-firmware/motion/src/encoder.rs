@@ -173,7 +173,8 @@ impl Encoder {
         } else {
             0
         };
-        if !moves {
+        if self.slower_mhz(speed_mhz).is_none() {
+            // No step follows, so nobody need wait for its time: that may be an hour.
             self.low_ticks = 0;
         }
         self.steps_left = 0;
@@ -381,16 +382,20 @@ impl Encoder {
         self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(ticks);
     }
 
-    /// Writes a step of a controlled stop, or the end.
-    fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
+    /// Returns the speed after one more step of a controlled stop; `None`: it can rest at once.
+    fn slower_mhz(&self, speed_mhz: u64) -> Option<u64> {
         // v² in mHz², 2a in the same unit: 10⁶ · 2a.
         let lost = 2_000_000 * u64::from(self.timing.stop_accel_hz_per_s);
-        let Some(square) = (speed_mhz * speed_mhz).checked_sub(lost) else {
+        Some((speed_mhz * speed_mhz).checked_sub(lost)?.isqrt())
+    }
+
+    /// Writes a step of a controlled stop, or the end.
+    fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
+        let Some(slower_mhz) = self.slower_mhz(speed_mhz) else {
             self.stopping_mhz = Some(0);
             self.end(out);
             return;
         };
-        let slower_mhz = square.isqrt();
         let interval_ticks = 2_000 * TICK_HZ / (speed_mhz + slower_mhz);
         let high_ticks = self.timing.high_of(interval_ticks);
         self.stopping_mhz = Some(slower_mhz);

@@ -182,16 +182,20 @@ async fn converse<R: Read, W: Write, T: Timer, A: App>(
     session.handle_connected(timer.now_us());
     let mut wake_at_us = poll_app(session, app, timer.now_us());
     loop {
+        if session.is_finished() {
+            break;
+        }
         let now_us = timer.now_us();
         if written_bytes == output.len() {
             output.clear();
             written_bytes = 0;
             session.poll_transmit(now_us, &mut output);
         }
-        if session.wants_disconnect() {
+        if session.is_over() {
             let at_us = now_us.saturating_add(limits::CLOSE_TIMEOUT_US);
             let at_us = *give_up_at_us.get_or_insert(at_us);
-            if output.is_empty() || now_us >= at_us {
+            let nothing_left = session.wants_disconnect() && output.is_empty();
+            if nothing_left || now_us >= at_us {
                 break;
             }
         }

@@ -20,6 +20,19 @@
 //! with two additions: priorities with their own sequences, and user/password authentication.
 //! Messages are encoded and decoded by the zenoh project's own `no_std` crates.
 //!
+//! ```
+//! use pico::{PutOptions, Session, SessionConfig};
+//!
+//! let mut session = Session::new(SessionConfig::default(), 42 /* random on every start */);
+//! let status = session.declare_publisher("fleet/node/left/status").unwrap();
+//! session.handle_connected(0);
+//! let mut bytes = Vec::new();
+//! session.poll_transmit(0, &mut bytes); // to be sent: the first message of the handshake
+//! assert!(!bytes.is_empty());
+//! // Nothing is published before the router has answered.
+//! assert!(session.put(status, b"all well", &PutOptions::default()).is_err());
+//! ```
+//!
 //! Deliberately absent: scouting, peers and multicast, TLS (a [`driver::Connect`] may bring
 //! its own stream), shared memory, compression, and anything about what the bytes mean.
 #![no_std]

@@ -36,6 +36,11 @@ pub const QUEUE_RESERVE_BYTES: usize = 2048;
 /// What a queued message costs beside its bytes.
 pub const QUEUE_ENTRY_BYTES: usize = 8;
 
+/// Memory that an empty priority keeps; what a burst needed beyond it is given back. The queue
+/// thus holds at most `queue_bytes`, the same again in front of it that has just left, and this
+/// for each of eight priorities.
+pub const QUEUE_KEEP_BYTES: usize = 2048;
+
 /// A call of `poll_transmit` starts no further batch once it has appended so many bytes: a
 /// real-time message waits behind at most this plus one batch.
 pub const TRANSMIT_BYTES: usize = 4096;

@@ -13,7 +13,7 @@
 //! go out. Times are microseconds of any clock that does not run backwards.
 //!
 //! Promises: declarations are made again on every connection; a connection that is not understood
-//! is ended with a typed reason; all memory is bounded by [`limits`](crate::limits) and
+//! is ended with a typed reason; all memory is bounded by [`limits`] and
 //! [`SessionConfig`]; nothing panics on any input.
 //!
 //! The application's verbs are in `session/application.rs`, what the peer says in
@@ -242,7 +242,9 @@ impl Session {
         if !self.connected {
             return Err(SessionError::NotConnected);
         }
-        self.last_received_us = self.now_us;
+        if !bytes.is_empty() {
+            self.last_received_us = self.now_us;
+        }
         let taken = self.take_bytes(bytes);
         if let Err(error) = taken {
             self.fail(error);
@@ -326,11 +328,16 @@ impl Session {
         !self.connected && !self.finished && now_us >= self.retry_at_us
     }
 
-    /// The conversation on this byte stream is over and everything is handed to
-    /// [`Session::poll_transmit`]'s caller, who writes what he has, for a bounded time, and then
-    /// drops the stream.
+    /// The conversation on this byte stream is over. What [`Session::poll_transmit`] still has is
+    /// the last word; a driver writes it for a bounded time and then drops the stream.
+    pub fn is_over(&self) -> bool {
+        self.connected && matches!(self.link, Link::Closed)
+    }
+
+    /// The conversation is over and its last word has been handed out: once that is written the
+    /// stream is to be dropped.
     pub fn wants_disconnect(&self) -> bool {
-        self.connected && matches!(self.link, Link::Closed) && self.control.is_empty()
+        self.is_over() && self.control.is_empty()
     }
 
     /// Closed for good, without a byte stream: nothing will happen any more.

@@ -20,7 +20,7 @@ use zenoh_protocol::{
     transport::{FragmentHeader, FrameHeader, TransportSn, fragment, frame},
 };
 
-use crate::limits::{QUEUE_ENTRY_BYTES, QUEUE_RESERVE_BYTES, TRANSMIT_BYTES};
+use crate::limits::{QUEUE_ENTRY_BYTES, QUEUE_KEEP_BYTES, QUEUE_RESERVE_BYTES, TRANSMIT_BYTES};
 
 /// Control and the seven priorities of the application.
 pub(crate) const LANES: usize = 8;
@@ -72,6 +72,7 @@ impl Lane {
         self.sent_bytes = 0;
         if self.entries.is_empty() {
             self.bytes.clear();
+            self.bytes.shrink_to(QUEUE_KEEP_BYTES);
             self.start = 0;
         } else if self.start > self.bytes.len() / 2 {
             self.bytes.drain(..self.start);
@@ -82,6 +83,7 @@ impl Lane {
 
     fn clear(&mut self) {
         self.bytes.clear();
+        self.bytes.shrink_to(QUEUE_KEEP_BYTES);
         self.start = 0;
         self.entries.clear();
         self.sent_bytes = 0;
@@ -361,5 +363,119 @@ fn wire_priority(lane: usize) -> WirePriority {
         5 => WirePriority::Data,
         6 => WirePriority::DataLow,
         _ => WirePriority::Background,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    const DATA: usize = 5;
+
+    fn queue(bytes_max: usize, qos: bool) -> TransmitQueue {
+        let mut queue = TransmitQueue::new(bytes_max);
+        queue.open(Terms {
+            batch_bytes: 256,
+            qos,
+            sn_mask: 0x7f,
+            initial_sn: 0x7f,
+            markers: true,
+        });
+        queue
+    }
+
+    fn push(queue: &mut TransmitQueue, lane: usize, bytes: &[u8]) -> Result<(), PushError> {
+        queue.push(lane, false, 0, |out| {
+            out.extend_from_slice(bytes);
+            Ok::<(), ()>(())
+        })
+    }
+
+    fn poll(queue: &mut TransmitQueue) -> Vec<u8> {
+        let mut out = Vec::new();
+        queue.poll(&mut out);
+        out
+    }
+
+    #[test]
+    fn messages_of_one_priority_share_a_frame_and_numbers_go_round() {
+        let mut queue = queue(8192, true);
+        push(&mut queue, DATA, &[1, 1]).unwrap();
+        push(&mut queue, DATA, &[2]).unwrap();
+        push(&mut queue, LANE_REAL_TIME, &[3]).unwrap();
+        // Length, a frame of priority 1 with its number, a frame of the default priority.
+        assert_eq!(
+            poll(&mut queue),
+            [10, 0, 0xa5, 0x7f, 0x31, 1, 3, 0x25, 0x7f, 1, 1, 2]
+        );
+        push(&mut queue, DATA, &[4]).unwrap();
+        assert_eq!(poll(&mut queue), [3, 0, 0x25, 0, 4]);
+        assert!(queue.is_empty());
+        assert!(poll(&mut queue).is_empty());
+    }
+
+    #[test]
+    fn without_priorities_all_lanes_share_one_sequence() {
+        let mut queue = queue(8192, false);
+        push(&mut queue, DATA, &[1]).unwrap();
+        push(&mut queue, LANE_REAL_TIME, &[2]).unwrap();
+        assert_eq!(poll(&mut queue), [6, 0, 0x25, 0x7f, 2, 0x25, 0, 1]);
+    }
+
+    #[test]
+    fn a_message_of_exactly_a_batch_is_not_cut() {
+        for (message_bytes, first) in [(252, 0x25), (253, 0xe6)] {
+            let mut queue = queue(8192, true);
+            push(&mut queue, DATA, &vec![9; message_bytes]).unwrap();
+            let out = poll(&mut queue);
+            assert_eq!((out[0], out[2]), (254, first), "{message_bytes} bytes");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_leaves_no_trace() {
+        let mut queue = queue(8192, true);
+        let refused = queue.push(DATA, false, 0, |out| {
+            out.extend_from_slice(&[1; 9000]);
+            Ok::<(), ()>(())
+        });
+        assert_eq!(refused, Err(PushError::TooLarge));
+        let unwritable = queue.push(DATA, false, 0, |out| {
+            out.push(1);
+            Err(())
+        });
+        assert_eq!(unwritable, Err(PushError::TooLarge));
+        assert!(queue.is_empty());
+        push(&mut queue, DATA, &[7]).unwrap();
+        assert_eq!(poll(&mut queue), [3, 0, 0x25, 0x7f, 7]);
+    }
+
+    #[test]
+    fn the_reserve_is_for_control_and_real_time_only() {
+        let mut queue = queue(8192, true);
+        while push(&mut queue, DATA, &[0; 92]).is_ok() {}
+        for lane in [DATA, LANE_LAST, 2] {
+            assert_eq!(push(&mut queue, lane, &[0; 92]), Err(PushError::Full));
+        }
+        let mut reserve_count = 0;
+        while push(&mut queue, LANE_REAL_TIME, &[0; 92]).is_ok() {
+            reserve_count += 1;
+        }
+        assert!(reserve_count >= QUEUE_RESERVE_BYTES / 100);
+        assert_eq!(
+            push(&mut queue, LANE_CONTROL, &[0; 92]),
+            Err(PushError::Full)
+        );
+    }
+
+    #[test]
+    fn memory_of_a_burst_is_given_back() {
+        let mut queue = queue(1 << 20, true);
+        for _ in 0..100 {
+            push(&mut queue, DATA, &[0; 9000]).unwrap();
+        }
+        while !poll(&mut queue).is_empty() {}
+        assert!(queue.lanes[DATA].bytes.capacity() <= QUEUE_KEEP_BYTES);
     }
 }

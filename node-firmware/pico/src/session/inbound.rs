@@ -13,8 +13,8 @@ use zenoh_protocol::{
     common::imsg,
     core::Reliability,
     network::{
-        Declare, DeclareBody, Interest, NetworkBody, NetworkMessage, Push, Request, Response,
-        request::ext::QueryTarget as WireTarget,
+        Declare, DeclareBody, Interest, Mapping, NetworkBody, NetworkMessage, Push, Request,
+        Response, request::ext::QueryTarget as WireTarget,
     },
     transport::{
         Close, FragmentHeader, FrameHeader, InitAck, OpenAck, TransportBody, TransportMessage, id,
@@ -325,7 +325,10 @@ impl Session {
         let interest = declare.interest_id;
         match declare.body {
             DeclareBody::DeclareKeyExpr(body) => {
-                let Some(key) = self.peer.resolve(&self.declarations, body.wire_expr) else {
+                // This message does not say whose numbers it uses; they are its sender's.
+                let mut expr = body.wire_expr;
+                expr.mapping = Mapping::Sender;
+                let Some(key) = self.peer.resolve(&self.declarations, expr) else {
                     return self.count_unknown();
                 };
                 let declared = self.peer.declare_key(body.id, key);

@@ -258,6 +258,67 @@ mod tests {
         assert_eq!(bytes, expected);
     }
 
+    fn granted(resolution: u8, change: impl FnOnce(&mut InitAck)) -> Result<Grant, SessionError> {
+        let mut ack = InitAck {
+            version: VERSION,
+            whatami: WhatAmI::Router,
+            zid: offer().zid,
+            resolution: Resolution::from(resolution),
+            batch_size: 2048,
+            cookie: alloc::vec![1].into(),
+            ext_qos: None,
+            ext_qos_link: None,
+            ext_auth: None,
+            ext_mlink: None,
+            ext_lowlatency: None,
+            ext_compression: None,
+            ext_patch: init::ext::PatchType::CURRENT,
+            ext_region_name: None,
+        };
+        change(&mut ack);
+        init_ack(&offer(), &ack)
+    }
+
+    #[test]
+    fn numbers_are_as_wide_as_granted_and_never_wider_than_offered() {
+        for (resolution, sn_mask, request_id_mask) in [
+            (0b0000, 0x7f, 0xff),
+            (0b0101, 0x3fff, 0xffff),
+            (0b1010, 0x0fff_ffff, u32::MAX),
+        ] {
+            let grant = granted(resolution, |_| {}).unwrap();
+            assert_eq!(
+                (grant.sn_mask, grant.request_id_mask),
+                (sn_mask, request_id_mask)
+            );
+        }
+        for resolution in [0b0011, 0b1100, 0b1011, 0b1110] {
+            assert_eq!(
+                granted(resolution, |_| {}).unwrap_err(),
+                SessionError::Handshake
+            );
+        }
+    }
+
+    #[test]
+    fn what_was_not_offered_is_not_taken() {
+        let change: [fn(&mut InitAck); 5] = [
+            |ack| ack.batch_size = 2049,
+            |ack| ack.batch_size = BATCH_BYTES_MIN - 1,
+            |ack| ack.ext_patch = init::ext::PatchType::new(2),
+            |ack| ack.ext_lowlatency = Some(init::ext::LowLatency::new()),
+            |ack| ack.ext_compression = Some(init::ext::Compression::new()),
+        ];
+        for change in change {
+            assert_eq!(
+                granted(0b1010, change).unwrap_err(),
+                SessionError::Handshake
+            );
+        }
+        let grant = granted(0b1010, |ack| ack.ext_qos = Some(init::ext::QoS::new())).unwrap();
+        assert!(!grant.qos, "priorities were not offered");
+    }
+
     #[test]
     fn open_syn_says_its_lease_in_whole_seconds_where_it_can() {
         let grant = Grant {

@@ -160,12 +160,9 @@ impl Client {
             events: sender,
             quit: quit.clone(),
         };
-        let seed = u64::from(address.port())
-            ^ (std::ptr::from_ref(&porter) as u64) << 16
-            ^ std::time::SystemTime::UNIX_EPOCH
-                .elapsed()
-                .unwrap()
-                .as_nanos() as u64;
+        // Sessions of one router must differ; more is not needed here.
+        static SEED: AtomicU64 = AtomicU64::new(1);
+        let seed = SEED.fetch_add(1, Ordering::Relaxed);
         // On a threaded runtime: the driver's future is Send when those below it are.
         let task = tokio::spawn(async move {
             let mut session = Session::new(config, seed);

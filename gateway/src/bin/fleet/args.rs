@@ -1,0 +1,299 @@
+//! What can be typed.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use keys::{JobId, NodeId, record::JobState};
+use std::{path::PathBuf, time::Duration};
+
+/// Where clients look for the gateway when nothing else is said.
+pub(crate) const CONNECT_DEFAULT: &str = "tcp/127.0.0.1:7447";
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  done
+  1  the job or the request failed or was refused
+  2  bad option or file
+  3  no connection, or no gateway answers
+  4  timed out waiting";
+
+/// The operator's command line of a fleet of stepper controllers.
+#[derive(Debug, Parser)]
+#[command(name = "fleet", version, max_term_width = 100, after_help = EXIT_CODES)]
+pub(crate) struct Line {
+    #[command(flatten)]
+    pub(crate) common: Common,
+    #[command(subcommand)]
+    pub(crate) verb: Verb,
+}
+
+/// Options of every command.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Connection and output")]
+pub(crate) struct Common {
+    /// Gateway or zenoh router to connect to [default: tcp/127.0.0.1:7447; serve: none, it brings
+    /// its own router]
+    #[arg(long, global = true, value_name = "tcp/HOST:PORT")]
+    pub(crate) connect: Option<String>,
+
+    /// Prefix of all keys of the fleet.
+    #[arg(long, global = true, default_value = keys::key::PREFIX_DEFAULT, value_parser = prefix)]
+    pub(crate) prefix: keys::Keys,
+
+    /// User for a router that asks.
+    #[arg(long, global = true, requires = "password_file")]
+    pub(crate) user: Option<String>,
+
+    /// File with the user's password; a newline at its end does not count.
+    #[arg(long, global = true, value_name = "FILE", requires = "user")]
+    pub(crate) password_file: Option<PathBuf>,
+
+    /// Longest wait for a connection and for each answer, s.
+    #[arg(long, global = true, value_name = "SECONDS", default_value = "10", value_parser = seconds)]
+    pub(crate) timeout: Duration,
+
+    /// Print one JSON object per line, for scripts.
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Verb {
+    /// Run the gateway, with its own zenoh router unless --connect joins one.
+    #[command(after_help = "\
+Examples:
+  fleet serve
+  fleet serve --listen tcp/0.0.0.0:7447 --store /var/lib/fleet.redb
+  fleet serve --users users.txt            # lines NAME:PASSWORD, one of them `gateway`
+  fleet serve --connect tcp/router:7447    # join an existing zenoh network")]
+    Serve(Serve),
+
+    /// List the nodes.
+    #[command(after_help = "Examples:\n  fleet nodes\n  fleet nodes --json | jq -r .node")]
+    Nodes,
+
+    /// Hand in a job: JSON commands, or a Lua script.
+    #[command(after_help = "\
+Examples:
+  fleet submit square.json --node left --wait
+  fleet submit drill.lua --node 'cell-$*' --id drill-7
+  echo '{\"commands\":[{\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":2000}}]}' | \\
+      fleet submit - --node left --wait=60")]
+    Submit(Submit),
+
+    /// List jobs, newest first.
+    #[command(
+        after_help = "Examples:\n  fleet jobs --limit 10\n  fleet jobs --state failed --node left"
+    )]
+    Jobs(Jobs),
+
+    /// Show nodes and jobs as they change, until Ctrl-C.
+    #[command(after_help = "\
+Examples:
+  fleet watch
+  fleet watch --json --seconds 60 | jq -c 'select(.job) | [.job, .state]'")]
+    Watch(Watch),
+
+    /// Cancel a job; one that runs comes to rest by the ramp of its axes.
+    #[command(after_help = "Examples:\n  fleet cancel part-0815")]
+    Cancel(Cancel),
+
+    /// Stop nodes and wait until each has confirmed; works without a gateway too.
+    #[command(
+        after_help = "Examples:\n  fleet stop\n  fleet stop left --decelerate\n  fleet stop 'cell-$*'"
+    )]
+    Stop(Stop),
+
+    /// Lift the stop latch of nodes and wait until each has confirmed.
+    #[command(after_help = "Examples:\n  fleet release left\n  fleet release")]
+    Release(Release),
+
+    /// Run a gateway and three emulated nodes, play a job on each, and check every pulse.
+    #[cfg(feature = "demo")]
+    Demo,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Serve {
+    /// Where the router listens; may be given several times. Port 0: the system chooses one.
+    #[arg(long, value_name = "tcp/HOST:PORT", default_value = gateway::config::LISTEN_DEFAULT)]
+    pub(crate) listen: Vec<String>,
+
+    /// File of jobs and nodes; made if it is not there.
+    #[arg(long, value_name = "FILE", default_value = "fleet.redb")]
+    pub(crate) store: PathBuf,
+
+    /// Who may connect to the own router: lines NAME:PASSWORD, one of them `gateway`, as which
+    /// the gateway itself connects. Without it: everybody.
+    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
+    pub(crate) users: Option<PathBuf>,
+
+    /// Look for other zenoh routers by multicast, and let yourself be found.
+    #[arg(long)]
+    pub(crate) scouting: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Submit {
+    /// The job; `-`: standard input.
+    #[arg(value_name = "FILE|-")]
+    pub(crate) file: PathBuf,
+
+    /// Node, or pattern with `*` or `$*`: a job for each node that is alive and matches.
+    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
+    pub(crate) node: String,
+
+    /// Name of the job; makes it idempotent. Replaces the one in the file.
+    #[arg(long, value_parser = job_id)]
+    pub(crate) id: Option<JobId>,
+
+    /// What the file is [default: by its extension; else JSON if it begins with `{`, Lua if not].
+    #[arg(long, value_enum)]
+    pub(crate) format: Option<Format>,
+
+    /// Wait until the job has ended, SECONDS at most if given; exit code 1 if it did not succeed.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, value_parser = seconds)]
+    pub(crate) wait: Option<Option<Duration>>,
+}
+
+/// How a job is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Format {
+    /// An object with `commands` or `lua`.
+    Json,
+    /// The script itself.
+    Lua,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Jobs {
+    /// Only jobs in this state.
+    #[arg(long, value_parser = job_state())]
+    pub(crate) state: Option<JobState>,
+
+    /// Only jobs of this node.
+    #[arg(long, value_parser = node_id)]
+    pub(crate) node: Option<NodeId>,
+
+    /// Most jobs.
+    #[arg(long, value_name = "COUNT", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1_000))]
+    pub(crate) limit: u16,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Watch {
+    /// End after this time, s.
+    #[arg(long, value_parser = seconds)]
+    pub(crate) seconds: Option<Duration>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Cancel {
+    /// The job, or pattern with `*` or `$*`.
+    #[arg(value_name = "JOB", value_parser = pattern)]
+    pub(crate) job: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Stop {
+    /// Node, or pattern with `*` or `$*`; all nodes by default.
+    #[arg(default_value = "*", value_parser = pattern)]
+    pub(crate) pattern: String,
+
+    /// Come to rest by the ramp of each axis instead of at once.
+    #[arg(long)]
+    pub(crate) decelerate: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Release {
+    /// Node, or pattern with `*` or `$*`; all nodes by default.
+    #[arg(default_value = "*", value_parser = pattern)]
+    pub(crate) pattern: String,
+}
+
+fn prefix(text: &str) -> Result<keys::Keys, String> {
+    keys::Keys::new(text).map_err(|error| error.to_string())
+}
+
+fn node_id(text: &str) -> Result<NodeId, String> {
+    NodeId::new(text).map_err(|error| error.to_string())
+}
+
+fn job_id(text: &str) -> Result<JobId, String> {
+    JobId::new(text).map_err(|error| error.to_string())
+}
+
+fn job_state() -> impl clap::builder::TypedValueParser<Value = JobState> {
+    use clap::builder::TypedValueParser as _;
+    let words = JobState::ALL.map(JobState::as_str);
+    clap::builder::PossibleValuesParser::new(words)
+        .map(|word| word.parse().expect("the words are those of the states"))
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds: f64 = text
+        .parse()
+        .map_err(|_| format!("{text:?} is no number of seconds"))?;
+    Duration::try_from_secs_f64(seconds)
+        .ok()
+        .filter(|duration| !duration.is_zero() && *duration <= Duration::from_secs(86_400))
+        .ok_or_else(|| "more than 0 and at most 86400 seconds".to_owned())
+}
+
+/// A name, or one chunk of a key expression.
+fn pattern(text: &str) -> Result<String, String> {
+    let words = "a name of a-z, 0-9, _ and -, or a pattern of such with `*` alone or `$*`";
+    let legal =
+        |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"_-$*".contains(&byte);
+    if text.is_empty()
+        || !text.bytes().all(legal)
+        || zenoh::key_expr::keyexpr::new(text).is_err()
+        || text == "**"
+        || (!text.contains('*') && NodeId::new(text).is_err())
+    {
+        return Err(words.to_owned());
+    }
+    Ok(text.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_of_the_line_is_sound() {
+        Line::command().debug_assert();
+    }
+
+    #[test]
+    fn a_pattern_is_one_chunk_of_a_key() {
+        for good in ["left", "*", "cell-$*", "$*-x", "part-0815"] {
+            assert_eq!(pattern(good).as_deref(), Ok(good));
+        }
+        for bad in ["", "**", "a/b", "Left", "a*b", "$", "a?", "-x", "*$*"] {
+            assert!(pattern(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn times_are_numbers_of_seconds_above_zero() {
+        assert_eq!(seconds("0.5"), Ok(Duration::from_millis(500)));
+        for bad in ["0", "-1", "x", "nan", "inf", "1e9"] {
+            assert!(seconds(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn waiting_takes_a_limit_only_behind_an_equals_sign() {
+        let wait = |line: &[&str]| {
+            let line = [&["fleet", "submit", "a.json", "--node", "left"], line].concat();
+            match Line::try_parse_from(line).expect("legal").verb {
+                Verb::Submit(submit) => submit.wait,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(wait(&[]), None);
+        assert_eq!(wait(&["--wait"]), Some(None));
+        assert_eq!(wait(&["--wait=3"]), Some(Some(Duration::from_secs(3))));
+    }
+}

@@ -1,0 +1,78 @@
+//! The operator's command line.
+//!
+//! `args.rs` is what can be typed, one file per verb does it, `link.rs` is the zenoh client that
+//! all of them share (`serve` alone is the gateway itself), `show.rs` prints.
+
+mod args;
+#[cfg(feature = "demo")]
+mod demo;
+mod follow;
+mod link;
+mod serve;
+mod show;
+mod stop;
+mod submit;
+mod watch;
+
+use args::{Common, Line, Verb};
+use clap::Parser;
+use keys::StopMode;
+use link::{Failure, Link};
+use std::{io::IsTerminal, process::ExitCode};
+use tracing_subscriber::EnvFilter;
+
+#[tokio::main]
+async fn main() -> ExitCode {
+    let line = Line::parse();
+    // A client's errors are told in its own words; the log of zenoh's is for who asks for it.
+    let log = match line.verb {
+        Verb::Serve(_) => "info,zenoh=error",
+        _ => "off",
+    };
+    tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log)))
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .init();
+    match perform(&line.common, &line.verb).await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            if let Some(message) = failure.message() {
+                eprintln!("fleet: {message}");
+            }
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
+    match verb {
+        Verb::Serve(serve) => return serve::serve(common, serve).await,
+        #[cfg(feature = "demo")]
+        Verb::Demo => return demo::demo(common).await,
+        _ => {}
+    }
+    let link = Link::open(common).await?;
+    let json = common.json;
+    let result = match verb {
+        Verb::Nodes => submit::nodes(&link, json).await,
+        Verb::Submit(submit) => submit::submit(&link, submit, json).await,
+        Verb::Jobs(jobs) => submit::jobs(&link, jobs, json).await,
+        Verb::Watch(watch) => watch::watch(&link, watch.seconds, json).await,
+        Verb::Cancel(cancel) => submit::cancel(&link, &cancel.job, json).await,
+        Verb::Stop(stop) => {
+            let mode = if stop.decelerate {
+                StopMode::Decelerate
+            } else {
+                StopMode::Halt
+            };
+            stop::stop(&link, &stop.pattern, mode, json).await
+        }
+        Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
+        Verb::Serve(_) => unreachable!("done above"),
+        #[cfg(feature = "demo")]
+        Verb::Demo => unreachable!("done above"),
+    };
+    link.close().await;
+    result
+}

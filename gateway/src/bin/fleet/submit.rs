@@ -1,0 +1,244 @@
+//! `fleet submit`, `fleet jobs`, `fleet nodes`, `fleet cancel`: ask and print.
+
+use crate::{
+    args::{Format, Jobs, Submit},
+    follow::Follower,
+    link::{Answer, Failure, Link, read},
+    show,
+};
+use keys::{
+    JobId,
+    record::{JobRecord, JobState, NodeRecord, Receipt},
+};
+use std::{io::Read, path::Path};
+use zenoh::bytes::Encoding;
+
+/// `fleet submit`
+pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(), Failure> {
+    let (payload, encoding) = read_job(submit)?;
+    let follower = match submit.wait {
+        Some(_) => Some(Follower::new(link, !json).await?),
+        None => None,
+    };
+    let key = format!("{}/node/{}/job", link.keys().prefix(), submit.node);
+    let answers = link.get(&key, Some((payload, encoding))).await?;
+    let mut refused = answers.is_empty();
+    if refused {
+        eprintln!("fleet: no receipt for {key}");
+    }
+    let mut jobs: Vec<JobId> = Vec::new();
+    for answer in &answers {
+        match answer {
+            Ok(payload) => {
+                let receipt: Receipt = read(payload)?;
+                jobs.push(receipt.job);
+                if follower.is_some() {
+                    continue;
+                }
+                if json {
+                    show::json_line(payload);
+                } else {
+                    show::line(&format!("{} {}", receipt.job, receipt.state));
+                }
+            }
+            Err(error) => {
+                refused = true;
+                eprintln!("fleet: refused: {error}");
+            }
+        }
+    }
+    if let Some(follower) = follower {
+        let limit = submit.wait.flatten();
+        let ended = follower.wait(&jobs, limit).await?;
+        for record in &ended.records {
+            print_record(record, json);
+            refused |= record.state != JobState::Succeeded;
+        }
+        if ended.timed_out {
+            let open: Vec<&str> = ended
+                .records
+                .iter()
+                .filter(|record| !record.state.is_final())
+                .map(|record| record.job.as_str())
+                .collect();
+            return Err(Failure::TimedOut(format!(
+                "not ended in time: {}",
+                open.join(", ")
+            )));
+        }
+    }
+    if refused {
+        return Err(Failure::Failed(None));
+    }
+    Ok(())
+}
+
+fn print_record(record: &JobRecord, json: bool) {
+    if json {
+        show::json_line(&keys::record::to_json(record));
+    } else {
+        let text = format!(
+            "{} {} {}/{} {}",
+            record.job,
+            record.state,
+            record.progress.done,
+            record.progress.total,
+            show::outcome(record)
+        );
+        show::line(text.trim_end());
+    }
+}
+
+/// Reads the job's file and gives it the name that was typed.
+fn read_job(submit: &Submit) -> Result<(Vec<u8>, Encoding), Failure> {
+    let file = &submit.file;
+    let usage = |error: &dyn std::fmt::Display| {
+        let name = if is_stdin(file) {
+            "standard input".to_owned()
+        } else {
+            file.display().to_string()
+        };
+        Failure::Usage(format!("{name}: {error}"))
+    };
+    let mut payload = Vec::new();
+    if is_stdin(file) {
+        std::io::stdin().lock().read_to_end(&mut payload)
+    } else {
+        std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut payload))
+    }
+    .map_err(|error| usage(&error))?;
+    if payload.iter().all(u8::is_ascii_whitespace) {
+        return Err(usage(&"there is nothing in it"));
+    }
+    let format = submit.format.unwrap_or_else(|| format_of(file, &payload));
+    match (format, &submit.id) {
+        (Format::Lua, None) => Ok((payload, Encoding::from("text/x-lua"))),
+        (Format::Lua, Some(id)) => {
+            let script = String::from_utf8(payload).map_err(|error| usage(&error))?;
+            let job = serde_json::json!({ "id": id, "lua": script });
+            Ok((job.to_string().into_bytes(), Encoding::APPLICATION_JSON))
+        }
+        (Format::Json, None) => Ok((payload, Encoding::APPLICATION_JSON)),
+        (Format::Json, Some(id)) => {
+            let mut job: serde_json::Map<String, serde_json::Value> =
+                serde_json::from_slice(&payload).map_err(|error| usage(&error))?;
+            job.insert("id".to_owned(), id.as_str().into());
+            let payload = serde_json::to_vec(&job).map_err(|error| usage(&error))?;
+            Ok((payload, Encoding::APPLICATION_JSON))
+        }
+    }
+}
+
+fn is_stdin(file: &Path) -> bool {
+    file.as_os_str() == "-"
+}
+
+fn format_of(file: &Path, payload: &[u8]) -> Format {
+    match file.extension().and_then(|extension| extension.to_str()) {
+        Some("json") => Format::Json,
+        Some("lua") => Format::Lua,
+        _ => match payload.iter().find(|byte| !byte.is_ascii_whitespace()) {
+            Some(b'{') => Format::Json,
+            _ => Format::Lua,
+        },
+    }
+}
+
+/// Sorts answers into payloads and refusals, and prints the latter.
+fn accepted(answers: Vec<Answer>) -> (Vec<Vec<u8>>, bool) {
+    let mut refused = false;
+    let payloads = answers
+        .into_iter()
+        .filter_map(|answer| {
+            answer
+                .map_err(|error| {
+                    refused = true;
+                    eprintln!("fleet: refused: {error}");
+                })
+                .ok()
+        })
+        .collect();
+    (payloads, refused)
+}
+
+fn verdict(refused: bool) -> Result<(), Failure> {
+    if refused {
+        return Err(Failure::Failed(None));
+    }
+    Ok(())
+}
+
+/// `fleet nodes`
+pub(crate) async fn nodes(link: &Link, json: bool) -> Result<(), Failure> {
+    let key = link.keys().every_node(keys::NodeTopic::State);
+    let (payloads, refused) = accepted(link.get(key.as_str(), None).await?);
+    if json {
+        payloads.iter().for_each(|payload| show::json_line(payload));
+    } else if payloads.is_empty() && !refused {
+        show::line("no nodes: the gateway has not seen any yet");
+    } else {
+        let mut records: Vec<NodeRecord> = payloads
+            .iter()
+            .map(|payload| read(payload))
+            .collect::<Result<_, _>>()?;
+        records.sort_by_key(|record| record.node);
+        show::print(show::nodes_table(&records));
+    }
+    verdict(refused)
+}
+
+/// `fleet jobs`
+pub(crate) async fn jobs(link: &Link, jobs: &Jobs, json: bool) -> Result<(), Failure> {
+    let mut selector = format!("{}?limit={}", link.keys().every_job(), jobs.limit);
+    if let Some(state) = jobs.state {
+        selector += &format!(";state={state}");
+    }
+    if let Some(node) = jobs.node {
+        selector += &format!(";node={node}");
+    }
+    let (payloads, refused) = accepted(link.get(&selector, None).await?);
+    if json {
+        payloads.iter().for_each(|payload| show::json_line(payload));
+    } else if payloads.is_empty() && !refused {
+        show::line("no such jobs");
+    } else {
+        let records: Vec<JobRecord> = payloads
+            .iter()
+            .map(|payload| read(payload))
+            .collect::<Result<_, _>>()?;
+        show::print(show::jobs_table(&records));
+    }
+    verdict(refused)
+}
+
+/// `fleet cancel`
+pub(crate) async fn cancel(link: &Link, job: &str, json: bool) -> Result<(), Failure> {
+    let key = format!("{}/job/{job}/cancel", link.keys().prefix());
+    let (payloads, refused) = accepted(link.get(&key, None).await?);
+    if payloads.is_empty() && !refused {
+        return Err(Failure::Failed(Some(format!("no job matches {job}"))));
+    }
+    for payload in payloads {
+        if json {
+            show::json_line(&payload);
+        } else {
+            print_record(&read(&payload)?, false);
+        }
+    }
+    verdict(refused)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_what_its_extension_says_and_else_what_it_looks_like() {
+        let format = |file: &str, payload: &[u8]| format_of(Path::new(file), payload);
+        assert_eq!(format("a.json", b"x"), Format::Json);
+        assert_eq!(format("a.lua", b"{}"), Format::Lua);
+        assert_eq!(format("-", b" \n{}"), Format::Json);
+        assert_eq!(format("-", b"motor.execute()"), Format::Lua);
+        assert_eq!(format("-", b""), Format::Lua);
+    }
+}

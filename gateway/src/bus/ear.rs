@@ -1,0 +1,306 @@
+//! What callbacks do with what they hear: sort it by key, hand it to the inbox, never wait.
+//!
+//! Owns the gets that wait for replies; each is ended exactly once, by the last reply, a refusal
+//! or the end of the service.
+//!
+//! A client may name several nodes or jobs by a wild name chunk (`fleet/node/cell-$*/job`). A key
+//! that merely includes one of ours (`fleet/**`) reads records and stops nodes, and never gives a
+//! job, a cancel or a release: a tool that looks at everything must not move a motor.
+
+use super::{Addressee, Arrived, GETS_OPEN_MAX, Inbox, WallClock, busy, zenoh::Payload};
+use crate::fleet::event::{Event, ReplyTo};
+use keys::{
+    Keys, NodeId, NodeTopic, Stop, Topic,
+    record::{ErrorReply, JobError, to_json},
+};
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+use zenoh::{
+    Wait,
+    bytes::Encoding,
+    query::Query,
+    sample::{Sample, SampleKind},
+};
+
+/// Gets that wait for replies.
+#[derive(Default)]
+pub(super) struct Gets {
+    open: Mutex<HashMap<ReplyTo, Query>>,
+    next: AtomicU64,
+}
+
+impl Gets {
+    fn open(&self) -> MutexGuard<'_, HashMap<ReplyTo, Query>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps a get until its end; `None`: there are too many, it has been told.
+    fn admit(&self, query: &Query) -> Option<ReplyTo> {
+        let mut open = self.open();
+        if open.len() >= GETS_OPEN_MAX {
+            drop(open);
+            refuse(query, busy());
+            return None;
+        }
+        let to = ReplyTo(self.next.fetch_add(1, Ordering::Relaxed));
+        open.insert(to, query.clone());
+        Some(to)
+    }
+
+    /// Returns an open get.
+    pub(super) fn get(&self, to: ReplyTo) -> Option<Query> {
+        self.open().get(&to).cloned()
+    }
+
+    /// Forgets a get. The client hears the end when the last copy of the query is dropped.
+    pub(super) fn remove(&self, to: ReplyTo) -> Option<Query> {
+        self.open().remove(&to)
+    }
+
+    /// Forgets all.
+    pub(super) fn end_all(&self) {
+        let all = std::mem::take(&mut *self.open());
+        // Outside of the lock: each drop sends a message.
+        drop(all);
+    }
+}
+
+/// Gives the error reply.
+pub(super) fn refuse(query: &Query, error: JobError) {
+    let reply = query
+        .reply_err(to_json(&ErrorReply { error }))
+        .encoding(Encoding::APPLICATION_JSON)
+        .wait();
+    if let Err(error) = reply {
+        tracing::debug!("a client left before its reply: {error}");
+    }
+}
+
+/// A kind of key that the gateway hears or answers, for every name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Door {
+    /// `PREFIX/node/*/TOPIC`
+    Node(NodeTopic),
+    /// `PREFIX/group/*/job`
+    GroupJob,
+    /// `PREFIX/job/*`
+    Job,
+    /// `PREFIX/job/*/cancel`
+    JobCancel,
+}
+
+impl Door {
+    /// Returns the key to declare.
+    pub(super) fn key(self, keys: &Keys) -> String {
+        let key = match self {
+            Self::Node(topic) => keys.every_node(topic),
+            Self::GroupJob => keys.every_group_job(),
+            Self::Job => keys.every_job(),
+            Self::JobCancel => keys.every_job_cancel(),
+        };
+        key.as_str().to_owned()
+    }
+
+    /// Returns the name chunk of a key of this kind; `None`: it only includes such keys.
+    fn name<'k>(self, keys: &Keys, key: &'k str) -> Option<&'k str> {
+        let name = match (self, keys.parse(key)?) {
+            (Self::Node(declared), Topic::Node { node, topic }) if topic == declared => node,
+            (Self::GroupJob, Topic::GroupJob { group }) => group,
+            (Self::Job, Topic::Job { job }) | (Self::JobCancel, Topic::JobCancel { job }) => job,
+            _ => return None,
+        };
+        (name != "**").then_some(name)
+    }
+}
+
+/// Sorts what comes through one door.
+pub(super) struct Ear {
+    door: Door,
+    inbox: Inbox,
+    clock: WallClock,
+    keys: Keys,
+    gets: Arc<Gets>,
+}
+
+impl Ear {
+    /// Listens at this door.
+    pub(super) fn new(
+        door: Door,
+        inbox: &Inbox,
+        clock: WallClock,
+        keys: &Keys,
+        gets: &Arc<Gets>,
+    ) -> Self {
+        Self {
+            door,
+            inbox: inbox.clone(),
+            clock,
+            keys: keys.clone(),
+            gets: Arc::clone(gets),
+        }
+    }
+
+    /// Takes a put.
+    pub(super) fn put(&self, sample: &Sample) {
+        let at = self.clock.now();
+        if sample.kind() != SampleKind::Put {
+            return;
+        }
+        let key = sample.key_expr().as_str();
+        if self.door == Door::Node(NodeTopic::Stop) {
+            let mode = Stop::from_payload(&sample.payload().to_bytes()).mode;
+            let pattern = stop_pattern(&self.keys, key);
+            return self.inbox.urgent(Event::Stop { pattern, mode });
+        }
+        let Some(name) = self.door.name(&self.keys, key) else {
+            tracing::debug!(key, "a put on a key that only includes ours");
+            return;
+        };
+        let pattern = name.to_owned();
+        let job = |to| {
+            let payload = Payload(sample.payload().clone());
+            self.inbox
+                .job(to, sample.encoding().to_string(), payload, None)
+        };
+        let taken = match self.door {
+            Door::Node(NodeTopic::Job) => job(Addressee::Node(pattern)),
+            Door::GroupJob => job(Addressee::Group(pattern)),
+            Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release {
+                pattern,
+                reply: None,
+            }),
+            Door::JobCancel => self.inbox.event(Event::Cancel {
+                pattern,
+                reply: None,
+            }),
+            Door::Node(topic) => {
+                let Ok(node) = NodeId::new(name) else { return };
+                let event = Event::FromNode {
+                    node,
+                    topic,
+                    payload: sample.payload().to_bytes().into_owned(),
+                };
+                let at = (topic == NodeTopic::Clock).then_some(at);
+                self.inbox.event(Arrived { event, at })
+            }
+            Door::Job => Ok(()),
+        };
+        // Full: counted by the inbox, and a put has no answer.
+        let _ = taken;
+    }
+
+    /// Takes a get.
+    pub(super) fn get(&self, query: &Query) {
+        let key = query.key_expr().as_str();
+        let reads = matches!(self.door, Door::Job | Door::Node(NodeTopic::State));
+        let pattern = match self.door.name(&self.keys, key) {
+            Some(name) => name.to_owned(),
+            None if reads => "*".to_owned(),
+            None => return,
+        };
+        let Some(to) = self.gets.admit(query) else {
+            return;
+        };
+        let reply = Some(to);
+        let job = |addressee| {
+            let payload = Payload(query.payload().cloned().unwrap_or_default());
+            let encoding = query.encoding().cloned().unwrap_or_default().to_string();
+            self.inbox.job(addressee, encoding, payload, reply)
+        };
+        let taken = match self.door {
+            Door::Node(NodeTopic::Job) => job(Addressee::Node(pattern)),
+            Door::GroupJob => job(Addressee::Group(pattern)),
+            Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
+            Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
+            Door::Node(_) => self.inbox.event(Event::GetNodes { pattern, reply: to }),
+            Door::Job => self.inbox.event(Event::GetJobs {
+                pattern,
+                parameters: query
+                    .parameters()
+                    .iter()
+                    .map(|(name, value)| (name.to_owned(), value.to_owned()))
+                    .collect(),
+                reply: to,
+            }),
+        };
+        if taken.is_err() {
+            self.gets.remove(to);
+            refuse(query, busy());
+        }
+    }
+
+    /// Takes a node's coming or going.
+    pub(super) fn alive(&self, sample: &Sample) {
+        let name = self.door.name(&self.keys, sample.key_expr().as_str());
+        if let Some(node) = name.and_then(|name| NodeId::new(name).ok()) {
+            let alive = sample.kind() == SampleKind::Put;
+            self.inbox.urgent(Event::Alive { node, alive });
+        }
+    }
+}
+
+/// Returns whom a stop means. A key that includes stop keys without being one (`fleet/**`) means
+/// all nodes, or those of its name chunk: what nodes hear, the gateway must not miss.
+fn stop_pattern(keys: &Keys, key: &str) -> String {
+    let name = key
+        .strip_prefix(keys.prefix())
+        .and_then(|rest| rest.strip_prefix("/node/"))
+        .and_then(|rest| rest.split('/').next());
+    match name {
+        Some(name) if !name.contains("**") => name.to_owned(),
+        _ => "*".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_on_a_wide_key_means_whom_the_key_includes() {
+        let keys = Keys::default();
+        assert_eq!(stop_pattern(&keys, "fleet/node/left/stop"), "left");
+        assert_eq!(stop_pattern(&keys, "fleet/node/cell-$*/stop"), "cell-$*");
+        assert_eq!(stop_pattern(&keys, "fleet/node/left/**"), "left");
+        assert_eq!(stop_pattern(&keys, "fleet/node/**"), "*");
+        assert_eq!(stop_pattern(&keys, "**/stop"), "*");
+    }
+
+    #[test]
+    fn only_a_key_of_its_own_kind_gives_a_door_a_name() {
+        let keys = Keys::default();
+        let job = Door::Node(NodeTopic::Job);
+        assert_eq!(job.name(&keys, "fleet/node/left/job"), Some("left"));
+        assert_eq!(job.name(&keys, "fleet/node/cell-$*/job"), Some("cell-$*"));
+        for wide in [
+            "fleet/**",
+            "fleet/node/**",
+            "fleet/node/**/job",
+            "fleet/node/left/*",
+        ] {
+            assert_eq!(job.name(&keys, wide), None, "{wide}");
+        }
+        assert_eq!(Door::Job.name(&keys, "fleet/job/*"), Some("*"));
+        assert_eq!(Door::Job.name(&keys, "fleet/job/**"), None);
+        assert_eq!(Door::JobCancel.name(&keys, "fleet/job/**"), None);
+        assert_eq!(Door::JobCancel.name(&keys, "fleet/job/a/cancel"), Some("a"));
+    }
+
+    #[test]
+    fn a_door_hears_its_own_keys() {
+        let keys = Keys::default();
+        for door in [
+            Door::Node(NodeTopic::Job),
+            Door::GroupJob,
+            Door::Job,
+            Door::JobCancel,
+        ] {
+            assert_eq!(door.name(&keys, &door.key(&keys)), Some("*"), "{door:?}");
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! What comes from the network before the fleet sees it, and the clock that stamps it.
+//!
+//! ```text
+//!  zenoh callbacks ──▶ Inbox ──┬─ urgent: stop, alive ──────────────────────────▶ fleet task
+//!   (ear.rs)                   ├─ events: status, ack, clock, get, cancel, … ───▶   "
+//!                              └─ jobs ──▶ read and checked in order (service.rs) ─▶ "
+//! ```
+//!
+//! Callbacks run on the threads that read the sockets and carry other people's stops, so nothing
+//! here waits. Every queue is bounded, and "full" is answered at once:
+//!
+//! | queue | bound | when full |
+//! |---|---|---|
+//! | urgent | [`URGENT_EVENTS_MAX`] | dropped and logged: nodes hear a stop themselves, a node that is gone shows by its silence, one that came by its status |
+//! | events | [`EVENTS_MAX`] | a get is answered `internal`, "busy"; a put is dropped and logged: status and ack are said again |
+//! | jobs | [`JOBS_WAITING_MAX`], [`JOBS_WAITING_KIB_MAX`] | refused as `internal`, "busy": an error reply, or a record with state `rejected` |
+//! | open gets | [`GETS_OPEN_MAX`] | answered `internal`, "busy" |
+//!
+//! Deliberately absent: anything that knows what a job or a node is.
+
+mod ear;
+pub mod zenoh;
+
+use crate::fleet::event::{Event, ReplyTo};
+use keys::{
+    FleetMicros, JobId,
+    record::{ErrorCode, JobError},
+};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Instant, SystemTime, UNIX_EPOCH},
+};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+
+/// Stops and comings and goings that wait for the fleet.
+pub const URGENT_EVENTS_MAX: usize = 4_096;
+
+/// Other events that wait for the fleet: ten seconds of a hundred nodes at ten statuses a second.
+pub const EVENTS_MAX: usize = 10_000;
+
+/// Jobs that wait to be read.
+pub const JOBS_WAITING_MAX: usize = 1_024;
+
+/// Their payloads together, KiB: four of the largest jobs.
+pub const JOBS_WAITING_KIB_MAX: usize = 4 * keys::job::JOB_BYTES_MAX / 1_024;
+
+/// Gets that wait for their last reply.
+pub const GETS_OPEN_MAX: usize = 4_096;
+
+/// The gateway's clock: UTC at the start, and from there on time that never goes back.
+#[derive(Clone, Copy, Debug)]
+pub struct WallClock {
+    started_at_us: u64,
+    started: Instant,
+}
+
+impl WallClock {
+    /// Reads UTC once.
+    pub fn start() -> Self {
+        let since_epoch = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        Self {
+            started_at_us: since_epoch.as_micros() as u64,
+            started: Instant::now(),
+        }
+    }
+
+    /// Returns the time now.
+    pub fn now(&self) -> FleetMicros {
+        FleetMicros(self.started_at_us + self.started.elapsed().as_micros() as u64)
+    }
+}
+
+/// An event and, where it matters, when it came off the socket.
+#[derive(Debug)]
+pub struct Arrived {
+    /// What happened.
+    pub event: Event,
+    /// When; `None`: when the fleet takes it.
+    pub at: Option<FleetMicros>,
+}
+
+impl From<Event> for Arrived {
+    fn from(event: Event) -> Self {
+        Self { event, at: None }
+    }
+}
+
+/// Whom a job is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Addressee {
+    /// A node's name, or a wild chunk.
+    Node(String),
+    /// A group's name, or a wild chunk.
+    Group(String),
+}
+
+/// A job as it came, unread.
+#[derive(Debug)]
+pub struct PostedJob {
+    /// Whom it is for.
+    pub to: Addressee,
+    /// What the payload is, in zenoh's words.
+    pub encoding: String,
+    /// The bytes.
+    pub payload: zenoh::Payload,
+    /// Who waits for a receipt.
+    pub reply: Option<ReplyTo>,
+    /// Its part of [`JOBS_WAITING_KIB_MAX`], given back when it has been read.
+    pub room: OwnedSemaphorePermit,
+}
+
+/// The queue is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full;
+
+/// Where callbacks put what came. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Inbox {
+    urgent: mpsc::Sender<Event>,
+    events: mpsc::Sender<Arrived>,
+    jobs: mpsc::Sender<PostedJob>,
+    jobs_room_kib: Arc<Semaphore>,
+    dropped_count: Arc<AtomicU64>,
+}
+
+/// The other ends of an [`Inbox`].
+#[derive(Debug)]
+pub struct Outlets {
+    /// Stop and alive.
+    pub urgent: mpsc::Receiver<Event>,
+    /// Everything else but jobs.
+    pub events: mpsc::Receiver<Arrived>,
+    /// Where jobs go on when they have been read.
+    pub events_sender: mpsc::Sender<Arrived>,
+    /// Jobs.
+    pub jobs: mpsc::Receiver<PostedJob>,
+}
+
+impl Inbox {
+    /// Makes the queues.
+    pub fn new() -> (Self, Outlets) {
+        let (urgent, urgent_outlet) = mpsc::channel(URGENT_EVENTS_MAX);
+        let (events, events_outlet) = mpsc::channel(EVENTS_MAX);
+        let (jobs, jobs_outlet) = mpsc::channel(JOBS_WAITING_MAX);
+        let outlets = Outlets {
+            urgent: urgent_outlet,
+            events: events_outlet,
+            events_sender: events.clone(),
+            jobs: jobs_outlet,
+        };
+        let inbox = Self {
+            urgent,
+            events,
+            jobs,
+            jobs_room_kib: Arc::new(Semaphore::new(JOBS_WAITING_KIB_MAX)),
+            dropped_count: Arc::default(),
+        };
+        (inbox, outlets)
+    }
+
+    /// Takes a stop or a node's coming or going.
+    pub fn urgent(&self, event: Event) {
+        if let Err(error) = self.urgent.try_send(event) {
+            self.note_dropped(&error);
+        }
+    }
+
+    /// Takes an event.
+    ///
+    /// # Errors
+    /// [`Full`]: whoever waits for a reply has to be told.
+    pub fn event(&self, event: impl Into<Arrived>) -> Result<(), Full> {
+        self.events.try_send(event.into()).map_err(|error| {
+            self.note_dropped(&error);
+            Full
+        })
+    }
+
+    /// Takes a job. If there is no room for it, the fleet gets its refusal instead.
+    ///
+    /// # Errors
+    /// [`Full`]: not even for that; whoever waits for a receipt has to be told.
+    pub fn job(
+        &self,
+        to: Addressee,
+        encoding: String,
+        payload: zenoh::Payload,
+        reply: Option<ReplyTo>,
+    ) -> Result<(), Full> {
+        let kib = payload.len().div_ceil(1_024).min(JOBS_WAITING_KIB_MAX);
+        let room = Arc::clone(&self.jobs_room_kib).try_acquire_many_owned(kib as u32);
+        let refused = match room {
+            Ok(room) => {
+                let posted = PostedJob {
+                    to,
+                    encoding,
+                    payload,
+                    reply,
+                    room,
+                };
+                match self.jobs.try_send(posted) {
+                    Ok(()) => return Ok(()),
+                    Err(error) => error.into_inner().to,
+                }
+            }
+            Err(_) => to,
+        };
+        self.event(submit_event(refused, Err(busy()), None, reply))
+    }
+
+    /// Counts, and logs at 1, 2, 4, 8, …: a flood must not become one of log lines.
+    fn note_dropped(&self, what: &dyn std::fmt::Display) {
+        let count = self.dropped_count.fetch_add(1, Ordering::Relaxed) + 1;
+        if count.is_power_of_two() {
+            tracing::error!(count, "events dropped: {what}");
+        }
+    }
+}
+
+/// Returns the event for a job that has been read or refused.
+pub fn submit_event(
+    to: Addressee,
+    request: Result<keys::job::JobRequest, JobError>,
+    id_hint: Option<JobId>,
+    reply: Option<ReplyTo>,
+) -> Event {
+    match to {
+        Addressee::Node(pattern) => Event::Submit {
+            pattern,
+            request,
+            id_hint,
+            reply,
+        },
+        Addressee::Group(pattern) => Event::SubmitGroup {
+            pattern,
+            id_hint,
+            reply,
+        },
+    }
+}
+
+/// The refusal when a queue is full.
+pub fn busy() -> JobError {
+    JobError::new(
+        ErrorCode::Internal,
+        "the gateway is busy: too much waits to be read; nothing was taken, try again",
+    )
+}
+
+/// The refusal when the store has failed.
+pub fn store_failed() -> JobError {
+    JobError::new(
+        ErrorCode::Internal,
+        "the gateway's store failed; it takes nothing more and ends",
+    )
+}

@@ -1,0 +1,614 @@
+//! The zenoh sessions of the gateway: opened, listened to, spoken through, closed.
+//!
+//! ```text
+//!                ┌───────────── this process ──────────────┐
+//!  clients ──┐   │  main session (router, or client of the │
+//!            ├──▶│    network): jobs, records, orders      │
+//!  nodes  ───┘   │       ▲ loopback TCP                    │
+//!                │  swift session (client): stop, release, │
+//!                │       clock                             │
+//!                └─────────────────────────────────────────┘
+//! ```
+//!
+//! Two sessions, because a blocking message for a peer that takes nothing holds up all others of
+//! the same session until that peer's link is closed. Stops and clock probes must not wait for
+//! that: they have a session, and a real-time lane in every link, of their own. Releases are heard by
+//! the same session, so that none overtakes the stop that its client sent before it.
+//!
+//! What is heard is sorted in `ear.rs`. Deliberately absent: any decision about jobs and nodes.
+
+use super::{
+    Inbox, WallClock,
+    ear::{Door, Ear, Gets, refuse},
+};
+use crate::{
+    config::{
+        Credentials, GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US,
+    },
+    fleet::event::{Lane, ReplyTo},
+};
+use keys::{Keys, NodeTopic, Topic, record::JobError};
+use std::{
+    net::{SocketAddr, TcpListener},
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+use thiserror::Error;
+use zenoh::{
+    Session, Wait,
+    bytes::{Encoding, ZBytes},
+    key_expr::keyexpr,
+    pubsub::Subscriber,
+    qos::{CongestionControl, Priority},
+    query::Queryable,
+    sample::Locality,
+};
+
+/// How often a port that was free and then taken by somebody else is replaced by another one.
+const PORT_ATTEMPTS_MAX: usize = 16;
+
+/// How long the router has for taking declarations, and a session for closing.
+const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long another gateway has for answering before this one takes the fleet.
+const RIVAL_PATIENCE: Duration = Duration::from_secs(1);
+
+/// The bytes of a job as zenoh keeps them: not copied before they are read.
+#[derive(Clone, Debug, Default)]
+pub struct Payload(pub(super) ZBytes);
+
+impl Payload {
+    /// Returns how many bytes there are.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Returns whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Returns them in one piece.
+    pub fn to_bytes(&self) -> std::borrow::Cow<'_, [u8]> {
+        self.0.to_bytes()
+    }
+}
+
+/// Why the network is not there.
+#[derive(Debug, Error)]
+pub enum BusError {
+    /// A locator is not of the form `tcp/HOST:PORT`.
+    #[error("{0:?} is no address of the form tcp/HOST:PORT")]
+    Locator(String),
+    /// The router cannot listen.
+    #[error("cannot listen on {listen}: {reason}")]
+    Listen {
+        /// Where.
+        listen: String,
+        /// Zenoh's words.
+        reason: String,
+    },
+    /// There is no network to join.
+    #[error("cannot connect to {connect}: {reason}")]
+    Connect {
+        /// Where to.
+        connect: String,
+        /// Zenoh's words.
+        reason: String,
+    },
+    /// The users file cannot be read.
+    #[error("users file {path}: {reason}")]
+    Users {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A gateway with the same prefix answers in the network that was joined.
+    #[error("another gateway serves the prefix `{0}` in this network")]
+    Rival(String),
+    /// Zenoh refuses something that it never refuses.
+    #[error("zenoh: {0}")]
+    Zenoh(String),
+}
+
+fn zenoh_error(error: zenoh::Error) -> BusError {
+    BusError::Zenoh(error.to_string())
+}
+
+/// What is declared while the gateway accepts anything. Dropped: undeclared.
+#[derive(Default)]
+struct Doors {
+    subscribers: Vec<Subscriber<()>>,
+    queryables: Vec<Queryable<()>>,
+}
+
+/// See the module.
+pub struct Bus {
+    main: Session,
+    swift: Session,
+    keys: Keys,
+    gets: Arc<Gets>,
+    doors: Mutex<Doors>,
+    locators: Vec<String>,
+}
+
+impl std::fmt::Debug for Bus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Bus")
+            .field("prefix", &self.keys.prefix())
+            .field("locators", &self.locators)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Bus {
+    /// Opens the own router or joins the network. Hears nothing before [`Bus::declare`].
+    ///
+    /// # Errors
+    /// See [`BusError`].
+    pub async fn open(config: &GatewayConfig) -> Result<Self, BusError> {
+        let own_router = config.connect.is_empty();
+        let credentials = match (&config.credentials, &config.users) {
+            (Some(given), _) => Some(given.clone()),
+            (None, Some(file)) => Some(gateway_entry(file)?),
+            (None, None) => None,
+        };
+        let (main, locators) = if own_router {
+            open_router(config).await?
+        } else {
+            let main = open_client(&config.connect, credentials.as_ref()).await?;
+            (main, config.connect.clone())
+        };
+        let to: Vec<String> = if own_router {
+            locators.iter().map(|locator| reachable(locator)).collect()
+        } else {
+            config.connect.clone()
+        };
+        let swift = match open_client(&to, credentials.as_ref()).await {
+            Ok(swift) => swift,
+            Err(error) => {
+                close(&main).await;
+                return Err(error);
+            }
+        };
+        let bus = Self {
+            main,
+            swift,
+            keys: config.keys.clone(),
+            gets: Arc::default(),
+            doors: Mutex::default(),
+            locators,
+        };
+        if !own_router && bus.rival_answers().await? {
+            bus.close().await;
+            return Err(BusError::Rival(config.keys.prefix().to_owned()));
+        }
+        Ok(bus)
+    }
+
+    /// Returns where clients and nodes connect: where the own router listens, with the ports that
+    /// the system chose, or the routers of the network that was joined.
+    pub fn locators(&self) -> &[String] {
+        &self.locators
+    }
+
+    /// Asks for a job: who answers, with whatever, is a gateway.
+    async fn rival_answers(&self) -> Result<bool, BusError> {
+        let key = format!("{}/job/gateway", self.keys.prefix());
+        let replies = self
+            .main
+            .get(key)
+            .allowed_destination(Locality::Remote)
+            .timeout(RIVAL_PATIENCE)
+            .await
+            .map_err(zenoh_error)?;
+        while let Ok(reply) = replies.recv_async().await {
+            // Zenoh tells a timeout as an error reply in plain text.
+            let answer = match reply.result() {
+                Ok(_) => true,
+                Err(error) => *error.encoding() == Encoding::APPLICATION_JSON,
+            };
+            if answer {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Declares everything that the gateway hears and answers, and passes it to the inbox.
+    ///
+    /// # Errors
+    /// [`BusError::Zenoh`].
+    pub async fn declare(&self, inbox: &Inbox, clock: WallClock) -> Result<(), BusError> {
+        let ear = |door: Door| Ear::new(door, inbox, clock, &self.keys, &self.gets);
+        let mut doors = Doors::default();
+        for (session, door) in [
+            (&self.main, Door::Node(NodeTopic::Job)),
+            (&self.main, Door::GroupJob),
+            (&self.main, Door::JobCancel),
+            (&self.main, Door::Node(NodeTopic::Status)),
+            (&self.main, Door::Node(NodeTopic::Ack)),
+            (&self.swift, Door::Node(NodeTopic::Stop)),
+            // By the way of the stop, so that it stays behind the stop that its client sent before.
+            (&self.swift, Door::Node(NodeTopic::Release)),
+            (&self.swift, Door::Node(NodeTopic::Clock)),
+        ] {
+            let ear = ear(door);
+            let subscriber = session
+                .declare_subscriber(door.key(&self.keys))
+                // What the gateway itself says on stop and clock is for the nodes.
+                .allowed_origin(Locality::Remote)
+                .callback(move |sample| ear.put(&sample))
+                .await
+                .map_err(zenoh_error)?;
+            doors.subscribers.push(subscriber);
+        }
+        for (session, door) in [
+            (&self.main, Door::Node(NodeTopic::Job)),
+            (&self.main, Door::GroupJob),
+            (&self.main, Door::JobCancel),
+            (&self.swift, Door::Node(NodeTopic::Release)),
+            (&self.main, Door::Node(NodeTopic::State)),
+            (&self.main, Door::Job),
+        ] {
+            let ear = ear(door);
+            let queryable = session
+                .declare_queryable(door.key(&self.keys))
+                .complete(true)
+                .callback(move |query| ear.get(&query))
+                .await
+                .map_err(zenoh_error)?;
+            doors.queryables.push(queryable);
+        }
+        let door = Door::Node(NodeTopic::Alive);
+        let ear = ear(door);
+        let alive = self
+            .main
+            .liveliness()
+            .declare_subscriber(door.key(&self.keys))
+            .history(true)
+            .callback(move |sample| ear.alive(&sample))
+            .await
+            .map_err(zenoh_error)?;
+        doors.subscribers.push(alive);
+        *self.doors.lock().unwrap_or_else(PoisonError::into_inner) = doors;
+        // Whoever is told after this that the gateway is ready can reach it.
+        self.settled(&self.main).await?;
+        self.settled(&self.swift).await
+    }
+
+    /// Waits until the router knows what this session has declared: it answers what is asked after
+    /// the declarations when it has taken them.
+    async fn settled(&self, session: &Session) -> Result<(), BusError> {
+        let key = self.keys.every_node(NodeTopic::Alive);
+        let replies = session
+            .liveliness()
+            .get(key.as_str())
+            .timeout(ROUTER_PATIENCE)
+            .await
+            .map_err(zenoh_error)?;
+        while replies.recv_async().await.is_ok() {}
+        Ok(())
+    }
+
+    /// Stops hearing. What already came is not lost.
+    pub fn undeclare(&self) {
+        let mut doors = self.doors.lock().unwrap_or_else(PoisonError::into_inner);
+        *doors = Doors::default();
+    }
+
+    /// Puts bytes on a key. On [`Lane::Order`], and on [`Lane::Record`] for a job's record, this
+    /// waits until the peer's link takes them, [`STALLED_PEER_US`] at most; a node's record and a
+    /// clock probe are dropped instead, the next one says the same.
+    pub fn publish(&self, key: &str, payload: Vec<u8>, json: bool, lane: Lane) {
+        let topic = self.keys.parse(key);
+        let latest_wins = matches!(
+            topic,
+            Some(Topic::Node {
+                topic: NodeTopic::State | NodeTopic::Clock,
+                ..
+            })
+        );
+        let congestion = if latest_wins {
+            CongestionControl::Drop
+        } else {
+            CongestionControl::Block
+        };
+        let (session, priority, express) = match lane {
+            Lane::RealTime => (&self.swift, Priority::RealTime, true),
+            Lane::Order => (&self.main, Priority::Data, false),
+            Lane::Record => (&self.main, Priority::Data, false),
+        };
+        let encoding = if json {
+            Encoding::APPLICATION_JSON
+        } else {
+            Encoding::APPLICATION_OCTET_STREAM.with_schema("postcard")
+        };
+        let put = session
+            .put(key, payload)
+            .encoding(encoding)
+            .congestion_control(congestion)
+            .priority(priority)
+            .express(express)
+            .wait();
+        if let Err(error) = put {
+            tracing::error!(key, "not published: {error}");
+        }
+    }
+
+    /// Gives one reply to a get. `key`: `None` is the error reply.
+    pub fn reply(&self, to: ReplyTo, key: Option<&str>, payload: Vec<u8>) {
+        let Some(query) = self.gets.get(to) else {
+            tracing::error!(?to, "a reply to a get that has ended");
+            return;
+        };
+        let sent = match key {
+            None => query
+                .reply_err(payload)
+                .encoding(Encoding::APPLICATION_JSON)
+                .wait(),
+            Some(key) => match reply_key(query.key_expr(), key) {
+                Some(key) => query
+                    .reply(key, payload)
+                    .encoding(Encoding::APPLICATION_JSON)
+                    .wait(),
+                None => return,
+            },
+        };
+        if let Err(error) = sent {
+            tracing::debug!("a client left before its reply: {error}");
+        }
+    }
+
+    /// Gives the error reply to a get and ends it.
+    pub fn refuse(&self, to: ReplyTo, error: JobError) {
+        if let Some(query) = self.gets.remove(to) {
+            refuse(&query, error);
+        }
+    }
+
+    /// Ends a get.
+    pub fn end(&self, to: ReplyTo) {
+        self.gets.remove(to);
+    }
+
+    /// Closes both sessions; gets that still wait end without a reply.
+    pub async fn close(&self) {
+        self.undeclare();
+        self.gets.end_all();
+        close(&self.swift).await;
+        close(&self.main).await;
+    }
+}
+
+async fn close(session: &Session) {
+    match tokio::time::timeout(ROUTER_PATIENCE, session.close()).await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::warn!("closing a session: {error}"),
+        Err(_) => tracing::warn!("closing a session took too long"),
+    }
+}
+
+/// Returns the key under which a record answers a get: its own, if the get's key includes it.
+///
+/// Zenoh carries only replies on keys that the get's includes. So a job's record answers a cancel
+/// on the key of that job's cancel, and a node's record a release on that of the node's release.
+/// A record that a wide get (`fleet/node/l*/**`) does not mean is left out.
+fn reply_key(asked: &keyexpr, key: &str) -> Option<String> {
+    let verb = asked.as_str().rsplit('/').next().unwrap_or_default();
+    let parent = key.rsplit_once('/').map_or(key, |(parent, _)| parent);
+    [
+        key.to_owned(),
+        format!("{key}/{verb}"),
+        format!("{parent}/{verb}"),
+    ]
+    .into_iter()
+    .find(|key| {
+        keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key) && !key.contains('*'))
+    })
+}
+
+fn settings(pairs: &[(&str, String)]) -> Result<zenoh::Config, BusError> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in pairs {
+        config
+            .insert_json5(key, value)
+            .map_err(|error| BusError::Zenoh(format!("{key}: {error}")))?;
+    }
+    Ok(config)
+}
+
+fn json<T: serde::Serialize + ?Sized>(value: &T) -> String {
+    serde_json::to_string(value).expect("texts and lists of texts are JSON")
+}
+
+/// Opens a session in router mode. Returns where it listens.
+async fn open_router(config: &GatewayConfig) -> Result<(Session, Vec<String>), BusError> {
+    let mut attempts = 0;
+    loop {
+        attempts += 1;
+        let listen = config
+            .listen
+            .iter()
+            .map(|locator| with_port(locator))
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut pairs = vec![
+            ("mode", json("router")),
+            ("listen/endpoints", json(&listen)),
+            ("scouting/multicast/enabled", config.scouting.to_string()),
+            (
+                "transport/link/tx/queue/congestion_control/block/wait_before_close",
+                STALLED_PEER_US.to_string(),
+            ),
+            (
+                "transport/link/rx/max_message_size",
+                MESSAGE_BYTES_MAX.to_string(),
+            ),
+        ];
+        if let Some(users) = &config.users {
+            let file = json(&users.to_string_lossy());
+            pairs.push(("transport/auth/usrpwd/dictionary_file", file));
+        }
+        match zenoh::open(settings(&pairs)?).await {
+            Ok(session) => return Ok((session, listen)),
+            // Between choosing a port and listening on it somebody else may have taken it.
+            Err(_) if listen != config.listen && attempts < PORT_ATTEMPTS_MAX => {}
+            Err(error) => {
+                return Err(BusError::Listen {
+                    listen: listen.join(", "),
+                    reason: error.to_string(),
+                });
+            }
+        }
+    }
+}
+
+/// Opens a session in client mode.
+async fn open_client(
+    connect: &[String],
+    credentials: Option<&Credentials>,
+) -> Result<Session, BusError> {
+    for locator in connect {
+        host_and_port(locator)?;
+    }
+    let mut pairs = vec![
+        ("mode", json("client")),
+        ("connect/endpoints", json(connect)),
+        ("scouting/multicast/enabled", false.to_string()),
+        (
+            "transport/link/tx/queue/congestion_control/block/wait_before_close",
+            STALLED_PEER_US.to_string(),
+        ),
+        (
+            "transport/link/rx/max_message_size",
+            MESSAGE_BYTES_MAX.to_string(),
+        ),
+    ];
+    if let Some(credentials) = credentials {
+        pairs.push(("transport/auth/usrpwd/user", json(&credentials.user)));
+        pairs.push((
+            "transport/auth/usrpwd/password",
+            json(&credentials.password),
+        ));
+    }
+    zenoh::open(settings(&pairs)?)
+        .await
+        .map_err(|error| BusError::Connect {
+            connect: connect.join(", "),
+            reason: error.to_string(),
+        })
+}
+
+pub(crate) fn host_and_port(locator: &str) -> Result<(&str, u16), BusError> {
+    let bad = || BusError::Locator(locator.to_owned());
+    let address = locator.strip_prefix("tcp/").ok_or_else(bad)?;
+    let (host, port) = address.rsplit_once(':').ok_or_else(bad)?;
+    if host.is_empty() {
+        return Err(bad());
+    }
+    Ok((host, port.parse().map_err(|_| bad())?))
+}
+
+/// Returns the locator with a port that is free now in place of 0.
+fn with_port(locator: &str) -> Result<String, BusError> {
+    let (host, port) = host_and_port(locator)?;
+    if port != 0 {
+        return Ok(locator.to_owned());
+    }
+    let free = TcpListener::bind(format!("{host}:0"))
+        .and_then(|listener| listener.local_addr())
+        .map_err(|error| BusError::Listen {
+            listen: locator.to_owned(),
+            reason: error.to_string(),
+        })?;
+    Ok(format!("tcp/{host}:{}", free.port()))
+}
+
+/// Returns how this process reaches a locator that it listens on.
+fn reachable(locator: &str) -> String {
+    let Some(address) = locator.strip_prefix("tcp/") else {
+        return locator.to_owned();
+    };
+    match address.parse::<SocketAddr>() {
+        Ok(address) if address.ip().is_unspecified() => match address {
+            SocketAddr::V4(address) => format!("tcp/127.0.0.1:{}", address.port()),
+            SocketAddr::V6(address) => format!("tcp/[::1]:{}", address.port()),
+        },
+        _ => locator.to_owned(),
+    }
+}
+
+/// Returns the gateway's own line of the users file.
+fn gateway_entry(file: &PathBuf) -> Result<Credentials, BusError> {
+    let users = |reason: String| BusError::Users {
+        path: file.clone(),
+        reason,
+    };
+    let text = std::fs::read_to_string(file).map_err(|error| users(error.to_string()))?;
+    text.lines()
+        .filter_map(|line| line.split_once(':'))
+        .find(|(user, _)| user.trim() == GATEWAY_USER_DEFAULT)
+        .map(|(user, password)| Credentials {
+            user: user.trim().to_owned(),
+            password: password.trim().to_owned(),
+        })
+        .ok_or_else(|| {
+            users(format!(
+                "there must be a line `{GATEWAY_USER_DEFAULT}:PASSWORD`, as which the gateway itself connects"
+            ))
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_locator_needs_a_host_and_a_port() {
+        for bad in [
+            "",
+            "7447",
+            "127.0.0.1:7447",
+            "udp/127.0.0.1:7447",
+            "tcp/:7447",
+            "tcp/localhost",
+            "tcp/localhost:x",
+            "tcp/localhost:70000",
+        ] {
+            assert!(host_and_port(bad).is_err(), "{bad}");
+        }
+        assert_eq!(
+            host_and_port("tcp/[::]:7447").expect("legal"),
+            ("[::]", 7447)
+        );
+    }
+
+    #[test]
+    fn a_record_answers_on_a_key_that_was_asked_for() {
+        let key = |asked: &str, key: &str| {
+            reply_key(keyexpr::new(asked).expect("legal"), key).unwrap_or_default()
+        };
+        let job = "fleet/job/part-1";
+        assert_eq!(key("fleet/job/*", job), job);
+        assert_eq!(key("fleet/**", job), job);
+        let cancel = "fleet/job/part-1/cancel";
+        assert_eq!(key(cancel, job), cancel);
+        assert_eq!(key("fleet/job/part-$*/cancel", job), cancel);
+        assert_eq!(key("fleet/job/other/cancel", job), "");
+        let state = "fleet/node/left/state";
+        let release = "fleet/node/left/release";
+        assert_eq!(key(release, state), release);
+        assert_eq!(key("fleet/node/*/release", state), release);
+        assert_eq!(key("fleet/node/r$*/**", state), "");
+    }
+
+    #[test]
+    fn the_gateway_reaches_its_own_router_also_when_that_listens_everywhere() {
+        assert_eq!(reachable("tcp/0.0.0.0:7447"), "tcp/127.0.0.1:7447");
+        assert_eq!(reachable("tcp/[::]:7447"), "tcp/[::1]:7447");
+        assert_eq!(reachable("tcp/10.0.0.1:1"), "tcp/10.0.0.1:1");
+        assert_eq!(reachable("tcp/plant:1"), "tcp/plant:1");
+    }
+}

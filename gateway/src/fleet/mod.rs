@@ -1,0 +1,461 @@
+//! The fleet: every job, every node, and what follows from what happens.
+//!
+//! ```text
+//!   Event ─▶ handle ─┬─ clients' wishes ─▶ submit · cancel · stop · release · history
+//!                    ├─ nodes' words ────▶ Node::handle_status · handle_ack · handle_clock
+//!                    └─ time ────────────▶ the nodes whose hour has come
+//!                          then, for each node that was touched:
+//!                    Node::poll ─▶ next job, batches, cancels, probes, record ─▶ Effects
+//! ```
+//!
+//! Owns the order of things: an [`Effect::Persist`] stands before every message that depends on
+//! it. Promises: an accepted job ends in exactly one final state that a node's report, a client
+//! or a stop has caused; the cost of a status does not grow with the number of jobs; every list
+//! has a bound in [`FleetConfig`].
+//!
+//! Absent on purpose: clock, socket, disk. `now` is given; what shall happen is returned.
+
+pub mod clock;
+pub mod event;
+mod history;
+pub mod node;
+pub mod pattern;
+mod restore;
+pub mod route;
+mod submit;
+
+pub use history::{LIMIT_DEFAULT, LIMIT_MAX};
+pub use restore::{RestoreError, Stored};
+
+use crate::job::{Job, book::Book};
+use event::{Effect, Event, ReplyTo};
+use keys::{
+    BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, Status,
+    clock::ClockMessage,
+    record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
+    version,
+};
+use node::{Node, Turn};
+use pattern::Pattern;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// Every number of the fleet, with its reason.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FleetConfig {
+    /// The prefix of all keys.
+    pub keys: Keys,
+    /// A node that has said nothing for so long is offline, µs. 5 s: a node at rest speaks once a
+    /// second, and four of those may be lost.
+    pub silence_us: u64,
+    /// Batches on the way to one node. 4: a node that executes 100 short moves a second on a way
+    /// of 20 ms never runs dry, and a lost one costs little.
+    pub window_batches: usize,
+    /// Final jobs that are kept; the oldest goes first, and its id is free again.
+    pub retention_jobs: usize,
+    /// Jobs that may wait for one node; one more is refused as `too_large`.
+    pub waiting_jobs_max: usize,
+    /// Commands that all jobs which are not final may hold together, 32 bytes each; more are
+    /// refused as `too_large`.
+    pub held_commands_max: usize,
+    /// Nodes that are known; another one is not heard.
+    pub nodes_max: usize,
+    /// Shortest time between two records of a job of which only the progress changed, µs.
+    pub progress_us: u64,
+    /// Shortest time between two records of one node, µs: 20 a second.
+    pub node_record_us: u64,
+    /// How long a stop may go without a latch before it is repeated, µs.
+    pub stop_repeat_us: u64,
+    /// How long a release is tried, µs.
+    pub release_patience_us: u64,
+}
+
+impl FleetConfig {
+    /// Every default, for the keys below this prefix.
+    pub fn new(keys: Keys) -> Self {
+        Self {
+            keys,
+            silence_us: 5_000_000,
+            window_batches: 4,
+            retention_jobs: 10_000,
+            waiting_jobs_max: 1_000,
+            held_commands_max: 4_000_000,
+            nodes_max: 4_096,
+            progress_us: 500_000,
+            node_record_us: 50_000,
+            stop_repeat_us: 500_000,
+            release_patience_us: 3_000_000,
+        }
+    }
+}
+
+impl Default for FleetConfig {
+    fn default() -> Self {
+        Self::new(Keys::default())
+    }
+}
+
+/// Every job and every node.
+#[derive(Debug)]
+pub struct Fleet {
+    config: FleetConfig,
+    book: Book,
+    nodes: BTreeMap<NodeId, Node>,
+    /// When each node's [`Node::poll`] is due, once in each direction.
+    timers: BTreeSet<(FleetMicros, NodeId)>,
+    due: HashMap<NodeId, FleetMicros>,
+    /// Gets on `release` and how many nodes still have to answer.
+    releases: HashMap<ReplyTo, usize>,
+    now: FleetMicros,
+    /// When this fleet heard its first event.
+    started_at: Option<FleetMicros>,
+    last_made_us: u64,
+    random: u64,
+    ignored_count: u64,
+    /// No probe has left in this call.
+    may_probe: bool,
+}
+
+impl Fleet {
+    /// Begins without jobs and nodes. The seed makes ids of different gateways different.
+    pub fn new(config: FleetConfig, seed: u64) -> Self {
+        Self {
+            book: Book::new(config.keys.clone(), config.retention_jobs),
+            config,
+            nodes: BTreeMap::new(),
+            timers: BTreeSet::new(),
+            due: HashMap::new(),
+            releases: HashMap::new(),
+            now: FleetMicros(0),
+            started_at: None,
+            last_made_us: 0,
+            random: seed,
+            ignored_count: 0,
+            may_probe: true,
+        }
+    }
+
+    /// Takes what happened at `now` and appends what shall be done about it, in order. A `now`
+    /// before the last one is taken as the last one, except as the arrival of a clock reply: a
+    /// shell that stamps messages when they come may hand them on later.
+    pub fn handle(&mut self, event: Event, now: FleetMicros, effects: &mut Vec<Effect>) {
+        let happened_at = now;
+        self.may_probe = true;
+        let now = self.begin(now);
+        match event {
+            Event::Submit {
+                pattern,
+                request,
+                id_hint,
+                reply,
+            } => self.submit(&pattern, request, id_hint, reply, effects),
+            Event::SubmitGroup {
+                pattern,
+                id_hint,
+                reply,
+            } => self.submit_group(&pattern, id_hint, reply, effects),
+            Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
+            Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
+            Event::Stop { pattern, mode } => {
+                for id in self.matching(&pattern) {
+                    self.with_node(id, effects, |node, turn| node.handle_stop(mode, turn));
+                }
+            }
+            Event::GetJobs {
+                pattern,
+                parameters,
+                reply,
+            } => self.get_jobs(&pattern, &parameters, reply, effects),
+            Event::GetNodes { pattern, reply } => self.get_nodes(&pattern, reply, effects),
+            Event::Alive { node, alive } => {
+                // A token alone tells nothing; the node's status follows it.
+                if !alive {
+                    self.with_node(node, effects, Node::handle_token_gone);
+                }
+            }
+            Event::FromNode {
+                node,
+                topic,
+                payload,
+            } => self.hear(node, topic, &payload, happened_at, effects),
+            Event::Tick => {
+                while let Some((_, id)) = self.timers.first().copied().filter(|(at, _)| *at <= now)
+                {
+                    self.with_node(id, effects, |_, _| {});
+                }
+            }
+        }
+    }
+
+    /// Returns when [`Event::Tick`] is due: call [`Fleet::handle`] with the `now` of that call, and
+    /// ask again. At most one clock probe leaves in each call, because a probe's stamp is the
+    /// `now` of its call, so this may be due again at once.
+    pub fn poll_timeout(&self) -> Option<FleetMicros> {
+        self.timers.first().map(|(at, _)| *at)
+    }
+
+    /// Returns every job, newest first.
+    pub fn jobs(&self) -> impl Iterator<Item = &Job> {
+        self.book.newest_first()
+    }
+
+    /// Returns the job of this name.
+    pub fn job(&self, id: &JobId) -> Option<&Job> {
+        self.book.get(id)
+    }
+
+    /// Returns every node that is known, by name.
+    pub fn nodes(&self) -> impl Iterator<Item = &Node> {
+        self.nodes.values()
+    }
+
+    /// Returns the node of this name, if it is known.
+    pub fn node(&self, id: &NodeId) -> Option<&Node> {
+        self.nodes.get(id)
+    }
+
+    /// Returns a node's record as a get would answer it now.
+    pub fn node_record(&self, id: &NodeId) -> Option<NodeRecord> {
+        let node = self.nodes.get(id)?;
+        Some(node.record(self.now, self.started_at.unwrap_or(self.now)))
+    }
+
+    /// Returns how many messages were no messages, or came from more nodes than can be known.
+    pub fn ignored_count(&self) -> u64 {
+        self.ignored_count
+    }
+
+    // ───────────────────────────── nodes ─────────────────────────────
+
+    fn hear(
+        &mut self,
+        id: NodeId,
+        topic: NodeTopic,
+        payload: &[u8],
+        happened_at: FleetMicros,
+        effects: &mut Vec<Effect>,
+    ) {
+        match topic {
+            NodeTopic::Status => {
+                let Ok(status) = version::decode::<Status>(payload) else {
+                    self.ignored_count += 1;
+                    return;
+                };
+                if !self.nodes.contains_key(&id) {
+                    if self.nodes.len() >= self.config.nodes_max {
+                        self.ignored_count += 1;
+                        return;
+                    }
+                    self.nodes.insert(id, Node::new(id, None, self.now));
+                }
+                self.with_node(id, effects, |node, turn| node.handle_status(status, turn));
+            }
+            NodeTopic::Ack => match version::decode::<BatchAck>(payload) {
+                Ok(ack) => self.with_node(id, effects, |node, turn| node.handle_ack(&ack, turn)),
+                Err(_) => self.ignored_count += 1,
+            },
+            NodeTopic::Clock => match version::decode::<ClockMessage>(payload) {
+                Ok(ClockMessage::Reply(reply)) => {
+                    self.with_node(id, effects, |node, _| {
+                        node.handle_clock(reply, happened_at);
+                    });
+                }
+                Ok(ClockMessage::Probe(_)) => {}
+                Err(_) => self.ignored_count += 1,
+            },
+            _ => {}
+        }
+    }
+
+    /// Lets a node act, then do what is due, and notes when it wants to be called again.
+    fn with_node(
+        &mut self,
+        id: NodeId,
+        effects: &mut Vec<Effect>,
+        act: impl FnOnce(&mut Node, &mut Turn<'_>),
+    ) {
+        let started_at = self.started_at.unwrap_or(self.now);
+        let Some(node) = self.nodes.get_mut(&id) else {
+            return;
+        };
+        let mut turn = Turn {
+            now: self.now,
+            started_at,
+            config: &self.config,
+            book: &mut self.book,
+            effects,
+            released: Vec::new(),
+            may_probe: self.may_probe,
+        };
+        act(node, &mut turn);
+        node.poll(&mut turn);
+        self.may_probe = turn.may_probe;
+        let released = turn.released;
+        let due = node.poll_timeout(&self.book, &self.config);
+        if let Some(at) = self.due.remove(&id) {
+            self.timers.remove(&(at, id));
+        }
+        if let Some(at) = due {
+            // A timer that is due already would be called again without time having passed.
+            let at = at.max(FleetMicros(self.now.0 + 1));
+            self.timers.insert((at, id));
+            self.due.insert(id, at);
+        }
+        for release in released {
+            let reply = match release.outcome {
+                Ok(()) => self.node_reply(&id, release.to),
+                Err(error) => Some(error_reply(release.to, error)),
+            };
+            effects.extend(reply);
+            self.end_release(release.to, effects);
+        }
+    }
+
+    /// Returns the nodes that a chunk means, by name.
+    fn matching(&self, pattern: &str) -> Vec<NodeId> {
+        match Pattern::new(pattern) {
+            Pattern::Name(name) => NodeId::new(name)
+                .ok()
+                .filter(|id| self.nodes.contains_key(id))
+                .into_iter()
+                .collect(),
+            pattern => self
+                .nodes
+                .keys()
+                .filter(|id| pattern.matches(id.as_str()))
+                .copied()
+                .collect(),
+        }
+    }
+
+    /// Returns why a chunk means no node that is there.
+    fn nobody(&self, pattern: &str) -> JobError {
+        let matching = self.matching(pattern);
+        match (Pattern::new(pattern), matching.as_slice()) {
+            (Pattern::Name(name), []) => JobError::new(
+                ErrorCode::UnknownNode,
+                format!("no node `{name}` has ever been seen"),
+            ),
+            (Pattern::Name(name), _) => {
+                JobError::new(ErrorCode::NodeOffline, format!("node {name} is offline"))
+            }
+            (_, []) => JobError::new(
+                ErrorCode::UnknownNode,
+                format!("no node that has been seen matches `{pattern}`"),
+            ),
+            (_, _) => JobError::new(
+                ErrorCode::NodeOffline,
+                format!("every node that matches `{pattern}` is offline"),
+            ),
+        }
+    }
+
+    fn release(&mut self, pattern: &str, reply: Option<ReplyTo>, effects: &mut Vec<Effect>) {
+        let mut alive = self.matching(pattern);
+        alive.retain(|id| self.nodes[id].is_alive());
+        if alive.is_empty() {
+            if let Some(to) = reply {
+                effects.push(error_reply(to, self.nobody(pattern)));
+                effects.push(Effect::ReplyEnd { to });
+            }
+            return;
+        }
+        if let Some(to) = reply {
+            self.releases.insert(to, alive.len());
+        }
+        for id in alive {
+            self.with_node(id, effects, |node, turn| node.handle_release(reply, turn));
+        }
+    }
+
+    fn end_release(&mut self, to: ReplyTo, effects: &mut Vec<Effect>) {
+        let Some(open) = self.releases.get_mut(&to) else {
+            return;
+        };
+        *open -= 1;
+        if *open == 0 {
+            self.releases.remove(&to);
+            effects.push(Effect::ReplyEnd { to });
+        }
+    }
+
+    fn get_nodes(&mut self, pattern: &str, to: ReplyTo, effects: &mut Vec<Effect>) {
+        let found = self.matching(pattern);
+        if found.is_empty() && matches!(Pattern::new(pattern), Pattern::Name(_)) {
+            effects.push(error_reply(to, self.nobody(pattern)));
+        }
+        for id in &found {
+            effects.extend(self.node_reply(id, to));
+        }
+        effects.push(Effect::ReplyEnd { to });
+    }
+
+    fn node_reply(&self, id: &NodeId, to: ReplyTo) -> Option<Effect> {
+        let key = self.config.keys.node(id, NodeTopic::State);
+        Some(Effect::Reply {
+            to,
+            key: Some(key.as_str().to_owned()),
+            payload: to_json(&self.node_record(id)?),
+        })
+    }
+
+    // ───────────────────────────── jobs ─────────────────────────────
+
+    fn cancel(&mut self, pattern: &str, reply: Option<ReplyTo>, effects: &mut Vec<Effect>) {
+        let jobs: Vec<JobId> = match Pattern::new(pattern) {
+            Pattern::Name(name) => {
+                let found = JobId::new(name).ok().filter(|id| self.job(id).is_some());
+                if found.is_none()
+                    && let Some(to) = reply
+                {
+                    effects.push(error_reply(to, no_job(name)));
+                }
+                found.into_iter().collect()
+            }
+            wild => self
+                .book
+                .newest_first()
+                .filter(|job| !job.state().is_final() && wild.matches(job.id().as_str()))
+                .map(Job::id)
+                .collect(),
+        };
+        for id in jobs {
+            if let Some(node) = self.book.get(&id).and_then(Job::node) {
+                self.with_node(node, effects, |node, turn| node.cancel_job(&id, turn));
+            }
+            if let Some(to) = reply {
+                effects.extend(self.job_reply(&id, to));
+            }
+        }
+        if let Some(to) = reply {
+            effects.push(Effect::ReplyEnd { to });
+        }
+    }
+
+    fn job_reply(&self, id: &JobId, to: ReplyTo) -> Option<Effect> {
+        let job = self.book.get(id)?;
+        Some(Effect::Reply {
+            to,
+            key: Some(self.config.keys.job(id).as_str().to_owned()),
+            payload: to_json(&job.entry.record),
+        })
+    }
+
+    /// Takes the time, which never goes back.
+    fn begin(&mut self, now: FleetMicros) -> FleetMicros {
+        self.now = self.now.max(now);
+        self.started_at.get_or_insert(self.now);
+        self.now
+    }
+}
+
+fn no_job(name: &str) -> JobError {
+    JobError::new(ErrorCode::BadId, format!("no job `{name}`"))
+}
+
+fn error_reply(to: ReplyTo, error: JobError) -> Effect {
+    Effect::Reply {
+        to,
+        key: None,
+        payload: to_json(&ErrorReply { error }),
+    }
+}

@@ -1,0 +1,473 @@
+//! One node as the gateway sees it: what it said last, which job it has, what it still must hear.
+//!
+//! ```text
+//!   Status ─▶ fresh? ─▶ numbers, latch, facts ─▶ outcome of the active job ─▶ next job ─▶ batches
+//!   Ack ────▶ same queue? ─▶ numbers ──────────────────────────────────────────────────▶ batches
+//!   Stop ───▶ waiting jobs fail; the latch is awaited, and the stop repeated until it is seen
+//! ```
+//!
+//! Promises
+//! - Of one queue, `accepted` and `executed` never fall; a status that is older than the last one,
+//!   a queue that is over and a boot that was replaced are not believed.
+//! - One job at a time has commands on the node. The next one goes only into a queue in which
+//!   nothing is outstanding and to which no cancel was ever sent: a late cancel cannot hit it.
+//! - A job's outcome comes from the node's own words only: its counters, or its stop report.
+//! - What must be heard (a cancel, a remembered stop, a release) is repeated until its effect is
+//!   seen; all three are named by the queue that they are for, so a late one does nothing.
+//!
+//! Here: what is known and what clients want. `hear`: what the node says. `act`: what is due.
+//! `show`: what clients see.
+//!
+//! Absent on purpose: how a node executes; whose job it is; UTC on a node (only stamps that a
+//! client reads are converted, here).
+
+mod act;
+mod hear;
+mod show;
+
+use super::{
+    FleetConfig,
+    clock::ClockTrack,
+    event::{Effect, Lane, ReplyTo},
+    route::{RoundTrip, Route},
+};
+use crate::job::{Change, Ending, Job, book::Book};
+use keys::{
+    Fault, Features, FleetMicros, JobId, Keys, NodeId, NodeTopic, QueueId, Status, StopMode,
+    StopReason,
+    record::{ErrorCode, JobError, JobState, NodeRecord, no_such_axis},
+};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Boots that are remembered as over.
+const REPLACED_BOOTS_MAX: usize = 8;
+
+/// Clock probes that may be unanswered; the oldest is given up for a new one.
+const PROBES_MAX: usize = 16;
+
+/// Gets that may wait for one release.
+const RELEASE_WAITERS_MAX: usize = 64;
+
+/// What stays true of a node while it is away, or while the gateway is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Facts {
+    /// The life of its queue that it told last.
+    pub queue: QueueId,
+    /// Boots that came before, oldest first.
+    pub replaced_boots: VecDeque<u32>,
+    /// What its firmware can do.
+    pub features: Features,
+    /// Version of its firmware.
+    pub firmware: [u8; 3],
+    /// Position of each axis when it was last written down, steps.
+    pub position_steps: Vec<i64>,
+    /// Its latch.
+    pub latch: Option<Latch>,
+    /// A stop that it may not have heard: sent until it is seen latched.
+    pub pending_stop: Option<StopMode>,
+    /// The queue that must be dropped before any other job may go to it.
+    pub drop_queue: Option<QueueId>,
+}
+
+/// A stop latch as it was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Latch {
+    /// The queue that was current when it was seen.
+    pub queue: QueueId,
+    /// Why, once the node has reported.
+    pub reason: Option<StopReason>,
+    /// When.
+    pub at: FleetMicros,
+}
+
+/// One instant of the fleet: what every verb needs besides the node.
+pub(super) struct Turn<'t> {
+    pub(super) now: FleetMicros,
+    pub(super) started_at: FleetMicros,
+    pub(super) config: &'t FleetConfig,
+    pub(super) book: &'t mut Book,
+    pub(super) effects: &'t mut Vec<Effect>,
+    /// Releases that are over.
+    pub(super) released: Vec<Released>,
+    /// A clock probe may leave: its stamp is `now`, and a second one would leave later.
+    pub(super) may_probe: bool,
+}
+
+/// What became of a get on `release`.
+pub(super) struct Released {
+    pub(super) to: ReplyTo,
+    /// Why the latch is still there; `Ok`: it is not.
+    pub(super) outcome: Result<(), JobError>,
+}
+
+impl Turn<'_> {
+    fn keys(&self) -> &Keys {
+        &self.config.keys
+    }
+
+    fn publish(&mut self, node: &NodeId, topic: NodeTopic, payload: Vec<u8>, lane: Lane) {
+        let key = self.keys().node(node, topic).as_str().to_owned();
+        self.effects.push(Effect::Publish {
+            key,
+            payload,
+            json: matches!(topic, NodeTopic::State | NodeTopic::Stop),
+            lane,
+        });
+    }
+}
+
+/// A client's wish to lift the latch.
+#[derive(Clone, Debug)]
+struct ReleaseWish {
+    give_up_at: FleetMicros,
+    send_at: FleetMicros,
+    waiters: Vec<ReplyTo>,
+}
+
+/// Something that is repeated until its effect is seen.
+#[derive(Clone, Copy, Debug, Default)]
+struct Repeat {
+    send_at: Option<FleetMicros>,
+    sent_count: u32,
+}
+
+impl Repeat {
+    /// Returns whether it is due, and when not before the next time.
+    fn take(&mut self, now: FleetMicros, period_us: u64) -> bool {
+        if self.send_at.is_some_and(|at| now < at) {
+            return false;
+        }
+        let wait_us = (period_us << self.sent_count.min(4)).min(REPEAT_US_MAX);
+        self.sent_count = self.sent_count.saturating_add(1);
+        self.send_at = Some(now.plus_us(wait_us));
+        true
+    }
+}
+
+/// Longest time between two repetitions, µs.
+const REPEAT_US_MAX: u64 = 2_000_000;
+
+/// How a fault was first seen, so that its time does not tremble with the clock's estimate.
+#[derive(Clone, Debug)]
+struct SeenFault {
+    fault: Fault,
+    at: FleetMicros,
+}
+
+/// One node.
+#[derive(Clone, Debug)]
+pub struct Node {
+    id: NodeId,
+    facts: Facts,
+    /// What of the facts is in the store.
+    stored: Option<Facts>,
+    alive: bool,
+    /// The last fresh word, or when the gateway began to listen.
+    heard_at: FleetMicros,
+    /// The last fresh status of the present boot.
+    status: Option<Status>,
+    accepted: u64,
+    executed: u64,
+    /// Number up to which the node has told room.
+    limit: u64,
+    active: Option<JobId>,
+    waiting: VecDeque<JobId>,
+    route: Option<Route>,
+    round_trip: RoundTrip,
+    /// The latch was seen closing over a queue that is still the same: it comes to rest.
+    coming_to_rest: bool,
+    cancel: Repeat,
+    stop: Repeat,
+    release: Option<ReleaseWish>,
+    clock: ClockTrack,
+    probe_at: Option<FleetMicros>,
+    next_probe: u32,
+    probes: VecDeque<(u32, FleetMicros)>,
+    faults: Vec<SeenFault>,
+    told: Option<NodeRecord>,
+    told_at: FleetMicros,
+    /// Something that the record shows may have changed.
+    stale_record: bool,
+}
+
+impl Node {
+    /// A node that is heard for the first time, or read from the store.
+    pub(super) fn new(id: NodeId, facts: Option<Facts>, now: FleetMicros) -> Self {
+        Self {
+            id,
+            stored: facts.clone(),
+            facts: facts.unwrap_or_default(),
+            alive: false,
+            heard_at: now,
+            status: None,
+            accepted: 0,
+            executed: 0,
+            limit: 0,
+            active: None,
+            waiting: VecDeque::new(),
+            route: None,
+            round_trip: RoundTrip::default(),
+            coming_to_rest: false,
+            cancel: Repeat::default(),
+            stop: Repeat::default(),
+            release: None,
+            clock: ClockTrack::new(),
+            probe_at: None,
+            next_probe: 1,
+            probes: VecDeque::new(),
+            faults: Vec::new(),
+            told: None,
+            told_at: FleetMicros(0),
+            stale_record: true,
+        }
+    }
+
+    /// Returns its name.
+    pub fn id(&self) -> NodeId {
+        self.id
+    }
+
+    /// Returns whether it is there.
+    pub fn is_alive(&self) -> bool {
+        self.alive
+    }
+
+    /// Returns what stays true of it while it is away.
+    pub fn facts(&self) -> &Facts {
+        &self.facts
+    }
+
+    /// Returns the job whose commands it has.
+    pub fn active(&self) -> Option<JobId> {
+        self.active
+    }
+
+    /// Returns the jobs that wait for it, in their order.
+    pub fn waiting(&self) -> impl ExactSizeIterator<Item = JobId> + '_ {
+        self.waiting.iter().copied()
+    }
+
+    /// Returns what is known of its clock.
+    pub fn clock(&self) -> &ClockTrack {
+        &self.clock
+    }
+
+    /// Returns whether a stop holds it, as far as is known.
+    pub fn is_stopped(&self) -> bool {
+        self.facts.latch.is_some() || self.facts.pending_stop.is_some()
+    }
+
+    fn axis_count(&self) -> usize {
+        self.facts.position_steps.len()
+    }
+
+    /// Puts a job behind those that wait.
+    pub(super) fn enqueue(&mut self, job: JobId) {
+        self.waiting.push_back(job);
+    }
+
+    /// Takes the job that was on its way when the gateway went.
+    ///
+    /// # Errors
+    /// There is one already: two jobs cannot be.
+    pub(super) fn resume(&mut self, job: &Job) -> Result<(), JobId> {
+        if let Some(other) = self.active {
+            return Err(other);
+        }
+        self.active = Some(job.id());
+        if let (Some(_), Some(activation)) = (&job.entry.ending, job.entry.activation) {
+            self.facts.drop_queue = Some(activation.queue);
+        }
+        Ok(())
+    }
+
+    /// Returns why these commands are not for this node.
+    ///
+    /// # Errors
+    /// The first command that it cannot carry out, with its place.
+    pub(super) fn check(&self, commands: &[keys::Command]) -> Result<(), JobError> {
+        let axis_count = self.axis_count();
+        for (index, command) in commands.iter().enumerate() {
+            let word = word_of(command);
+            if !self.facts.features.has(command.feature()) {
+                let message =
+                    format!("commands[{index}].{word}: not supported by this node's firmware");
+                return Err(JobError::new(ErrorCode::BadCommand, message));
+            }
+            if let keys::Command::Barrier { .. } = command {
+                let message =
+                    format!("commands[{index}].{word}: only a synchronized job can have one");
+                return Err(JobError::new(ErrorCode::BadCommand, message));
+            }
+            if let Some(axis) = command.axis_max()
+                && axis.index() >= axis_count
+            {
+                let field = match command {
+                    keys::Command::SyncMove { .. } | keys::Command::Line { .. } => "steps",
+                    _ => "axis",
+                };
+                let message = format!(
+                    "commands[{index}].{word}.{field}: {}",
+                    no_such_axis(axis, axis_count)
+                );
+                return Err(JobError::new(ErrorCode::BadCommand, message));
+            }
+        }
+        Ok(())
+    }
+
+    /// Cancels a job of this node that is not final.
+    pub(super) fn cancel_job(&mut self, id: &JobId, turn: &mut Turn<'_>) {
+        let Some(job) = turn.book.get(id) else {
+            return;
+        };
+        let (state, activation) = (job.state(), job.entry.activation);
+        match state {
+            JobState::Queued => {
+                self.waiting.retain(|waiting| waiting != id);
+                let change = Change::to(JobState::Canceled);
+                turn.book.change(id, change, turn.now, turn.effects);
+            }
+            JobState::Lost => {
+                // The node may still have commands of it: they must be dropped before it gets
+                // others. That is written down before the job is called over.
+                if let Some(activation) = activation {
+                    self.drop_queue(activation.queue, turn);
+                }
+                self.finish_active(Change::to(JobState::Canceled), turn);
+            }
+            JobState::Sent | JobState::Running => self.end_active(Ending::Cancel, turn),
+            _ => {}
+        }
+    }
+
+    /// Makes the active job end: the node drops its queue, and its report is the outcome.
+    fn end_active(&mut self, ending: Ending, turn: &mut Turn<'_>) {
+        let Some(id) = self.active else { return };
+        let Some(job) = turn.book.get(&id) else {
+            return;
+        };
+        let Some(activation) = job.entry.activation else {
+            return;
+        };
+        if job.entry.ending.is_none() {
+            turn.book
+                .edit(&id, |entry| entry.ending = Some(ending), turn.effects);
+        }
+        self.stop_route();
+        self.drop_queue(activation.queue, turn);
+    }
+
+    fn drop_queue(&mut self, queue: QueueId, turn: &mut Turn<'_>) {
+        if self.facts.drop_queue != Some(queue) {
+            self.facts.drop_queue = Some(queue);
+            self.cancel = Repeat::default();
+            self.store(turn);
+        }
+    }
+
+    fn finish_active(&mut self, change: Change, turn: &mut Turn<'_>) {
+        let Some(id) = self.active.take() else { return };
+        self.stop_route();
+        turn.book.change(&id, change, turn.now, turn.effects);
+        self.stale_record = true;
+    }
+
+    fn stop_route(&mut self) {
+        if let Some(route) = self.route.take() {
+            self.round_trip = route.round_trip();
+        }
+    }
+
+    fn fail_waiting(&mut self, error: &JobError, turn: &mut Turn<'_>) {
+        while let Some(id) = self.waiting.pop_front() {
+            let change = Change::to(JobState::Failed).error(error.clone());
+            turn.book.change(&id, change, turn.now, turn.effects);
+        }
+    }
+
+    /// Somebody stopped this node: nothing that waits may move after a release.
+    pub(super) fn handle_stop(&mut self, mode: StopMode, turn: &mut Turn<'_>) {
+        let error = JobError::new(
+            ErrorCode::Stopped,
+            "the node was stopped (client) before the job began",
+        );
+        self.fail_waiting(&error, turn);
+        self.stale_record = true;
+        let latched = self.alive && self.facts.latch.is_some();
+        if !latched && self.facts.pending_stop != Some(StopMode::Halt) {
+            self.facts.pending_stop = Some(mode);
+            // It has heard the message itself, if it is there: only a missing latch is a reason
+            // to repeat it.
+            self.stop = Repeat {
+                send_at: self
+                    .alive
+                    .then(|| turn.now.plus_us(turn.config.stop_repeat_us)),
+                sent_count: 0,
+            };
+            self.store(turn);
+        }
+        if let Some(wish) = self.release.take() {
+            self.refuse_release(wish, "the node was stopped again", turn);
+        }
+    }
+
+    /// Somebody wants the latch lifted; `reply` is answered when it is, or when it cannot be.
+    pub(super) fn handle_release(&mut self, reply: Option<ReplyTo>, turn: &mut Turn<'_>) {
+        if !self.is_stopped() {
+            turn.released.extend(reply.map(|to| Released {
+                to,
+                outcome: Ok(()),
+            }));
+            return;
+        }
+        let wish = self.release.get_or_insert_with(|| ReleaseWish {
+            give_up_at: turn.now.plus_us(turn.config.release_patience_us),
+            send_at: turn.now,
+            waiters: Vec::new(),
+        });
+        if let Some(reply) = reply {
+            if wish.waiters.len() >= RELEASE_WAITERS_MAX {
+                let error = JobError::new(
+                    ErrorCode::TooLarge,
+                    "too many releases of this node wait for an answer",
+                );
+                turn.released.push(Released {
+                    to: reply,
+                    outcome: Err(error),
+                });
+                return;
+            }
+            wish.waiters.push(reply);
+        }
+    }
+
+    fn refuse_release(&mut self, wish: ReleaseWish, message: &str, turn: &mut Turn<'_>) {
+        for to in wish.waiters {
+            let error = JobError::new(ErrorCode::NotAllowed, message);
+            turn.released.push(Released {
+                to,
+                outcome: Err(error),
+            });
+        }
+    }
+}
+
+/// Returns the word of a command in a job's text.
+fn word_of(command: &keys::Command) -> &'static str {
+    use keys::Command;
+    match command {
+        Command::Move { .. } => "move",
+        Command::SyncMove { .. } => "sync_move",
+        Command::Pause { .. } => "pause",
+        Command::Laser { .. } => "laser",
+        Command::LidarRead => "lidar_read",
+        Command::SetPosition { .. } => "set_position",
+        Command::Ramp { .. } => "ramp",
+        Command::RampTo { .. } => "ramp_to",
+        Command::Line { .. } => "line",
+        Command::Home { .. } => "home",
+        Command::Barrier { .. } => "barrier",
+    }
+}

@@ -1,0 +1,265 @@
+//! What is due: silences and deadlines, what must be said until it is heard, the next job, its
+//! batches, and clock probes. Owns all of a node's timers.
+
+use super::{Node, PROBES_MAX, Released, Repeat, Turn};
+use crate::{
+    fleet::{
+        FleetConfig,
+        event::{Effect, Lane, Table, Write},
+        route::Route,
+    },
+    job::{Activation, Change, Ending, Job, book::Book},
+};
+use keys::{
+    FleetMicros, NodeTopic, Order, Stop, StopMode,
+    batch::ORDER_BYTES_MAX,
+    clock::{ClockMessage, ClockProbe},
+    record::{ErrorCode, JobError, JobState, to_json},
+};
+
+impl Node {
+    /// Does everything that is due and possible now.
+    pub(in crate::fleet) fn poll(&mut self, turn: &mut Turn<'_>) {
+        self.watch_silence(turn);
+        self.watch_deadline(turn);
+        if self.alive {
+            self.say_stop(turn);
+            self.say_cancel(turn);
+            self.say_release(turn);
+            self.start_next(turn);
+            self.say_batches(turn);
+            self.say_probe(turn);
+        }
+        self.tell(turn);
+    }
+
+    /// Returns when [`Node::poll`] is due.
+    pub(in crate::fleet) fn poll_timeout(
+        &self,
+        book: &Book,
+        config: &FleetConfig,
+    ) -> Option<FleetMicros> {
+        let active = self.active.and_then(|id| book.get(&id));
+        let silence = (self.alive || active.is_some_and(|job| job.state() != JobState::Lost))
+            .then(|| self.heard_at.plus_us(config.silence_us));
+        let deadline = active.and_then(Job::deadline);
+        let tell = self
+            .stale_record
+            .then(|| self.told_at.plus_us(config.node_record_us));
+        let always = [silence, deadline, tell];
+        let here = [
+            self.facts.pending_stop.and(self.stop.send_at),
+            self.facts.drop_queue.and(self.cancel.send_at),
+            self.release
+                .as_ref()
+                .map(|wish| wish.send_at.min(wish.give_up_at)),
+            self.route.as_ref().and_then(Route::poll_timeout),
+            Some(self.probe_at.unwrap_or(FleetMicros(0))),
+        ];
+        let here = here.into_iter().filter(|_| self.alive);
+        always.into_iter().chain(here).flatten().min()
+    }
+
+    fn watch_silence(&mut self, turn: &mut Turn<'_>) {
+        if turn.now.since_us(self.heard_at) < turn.config.silence_us {
+            return;
+        }
+        if self.alive {
+            self.go_offline(turn);
+        } else {
+            // After a start of the gateway, a node that does not come back.
+            self.lose_active(turn);
+        }
+    }
+
+    pub(super) fn go_offline(&mut self, turn: &mut Turn<'_>) {
+        self.alive = false;
+        self.stale_record = true;
+        self.stop_route();
+        self.clock.forget();
+        self.probe_at = None;
+        self.probes.clear();
+        self.cancel = Repeat::default();
+        self.stop = Repeat::default();
+        if let Some(status) = &self.status {
+            self.facts.position_steps =
+                status.axes.iter().map(|axis| axis.position_steps).collect();
+        }
+        self.store(turn);
+        self.lose_active(turn);
+        if let Some(wish) = self.release.take() {
+            for to in wish.waiters {
+                let error = JobError::new(ErrorCode::NodeOffline, "the node went away");
+                turn.released.push(Released {
+                    to,
+                    outcome: Err(error),
+                });
+            }
+        }
+    }
+
+    fn lose_active(&mut self, turn: &mut Turn<'_>) {
+        let Some(id) = self.active else { return };
+        let Some(job) = turn.book.get(&id) else {
+            return;
+        };
+        if job.state() != JobState::Lost {
+            let done = job.done_of(self.executed);
+            let change = Change::to(JobState::Lost).done(done);
+            turn.book.change(&id, change, turn.now, turn.effects);
+        }
+    }
+
+    fn watch_deadline(&mut self, turn: &mut Turn<'_>) {
+        let due = self
+            .active
+            .and_then(|id| turn.book.get(&id))
+            .and_then(Job::deadline)
+            .is_some_and(|deadline| turn.now >= deadline);
+        if due {
+            self.end_active(Ending::Timeout, turn);
+        }
+    }
+
+    fn say_stop(&mut self, turn: &mut Turn<'_>) {
+        let Some(mode) = self.facts.pending_stop else {
+            return;
+        };
+        if self.stop.take(turn.now, turn.config.stop_repeat_us) {
+            let payload = Stop { mode }.to_payload().to_vec();
+            turn.publish(&self.id, NodeTopic::Stop, payload, Lane::RealTime);
+        }
+    }
+
+    fn say_cancel(&mut self, turn: &mut Turn<'_>) {
+        let Some(queue) = self.facts.drop_queue else {
+            return;
+        };
+        if self.cancel.take(turn.now, self.round_trip.retry_us()) {
+            let mode = StopMode::Decelerate;
+            self.order(&Order::Cancel { queue, mode }, turn);
+        }
+    }
+
+    fn say_release(&mut self, turn: &mut Turn<'_>) {
+        let Some(wish) = &mut self.release else {
+            return;
+        };
+        if turn.now >= wish.give_up_at {
+            let wish = self.release.take().expect("it was just there");
+            let message = "the node stays stopped: its stop input is active, or it is still \
+                           coming to rest";
+            self.refuse_release(wish, message, turn);
+            return;
+        }
+        if turn.now < wish.send_at {
+            return;
+        }
+        wish.send_at = turn.now.plus_us(self.round_trip.retry_us());
+        if self.facts.latch.is_some() {
+            let queue = self.facts.queue;
+            self.order(&Order::Release { queue }, turn);
+        }
+    }
+
+    fn order(&self, order: &Order, turn: &mut Turn<'_>) {
+        let mut buffer = [0; ORDER_BYTES_MAX];
+        let bytes = keys::version::encode(order, &mut buffer)
+            .expect("an order without commands is shorter than any with them");
+        turn.publish(&self.id, NodeTopic::Batch, bytes.to_vec(), Lane::Order);
+    }
+
+    /// Sends the next job on its way, if nothing is outstanding.
+    fn start_next(&mut self, turn: &mut Turn<'_>) {
+        let open = self.active.is_none()
+            && !self.is_stopped()
+            && self.facts.drop_queue.is_none()
+            && self.status.is_some()
+            && self.executed >= self.accepted;
+        if !open {
+            return;
+        }
+        while let Some(id) = self.waiting.pop_front() {
+            let Some(job) = turn.book.get(&id) else {
+                continue;
+            };
+            // The firmware may have changed while the job waited.
+            if let Err(error) = self.check(&job.commands) {
+                let change = Change::to(JobState::Failed).error(error);
+                turn.book.change(&id, change, turn.now, turn.effects);
+                continue;
+            }
+            let activation = Activation {
+                queue: self.facts.queue,
+                base: self.accepted,
+                at: turn.now,
+            };
+            let total = job.entry.record.progress.total;
+            turn.book
+                .prepare(&id, |entry| entry.activation = Some(activation));
+            let change = Change::to(JobState::Sent);
+            turn.book.change(&id, change, turn.now, turn.effects);
+            self.active = Some(id);
+            self.stale_record = true;
+            self.route = Some(Route::new(
+                id,
+                activation.queue,
+                activation.base,
+                activation.base + total,
+                turn.config.window_batches,
+                self.round_trip,
+            ));
+            return;
+        }
+    }
+
+    fn say_batches(&mut self, turn: &mut Turn<'_>) {
+        let Some(route) = &mut self.route else { return };
+        let Some(job) = self.active.and_then(|id| turn.book.get(&id)) else {
+            return;
+        };
+        let key = turn.config.keys.node(&self.id, NodeTopic::Batch);
+        let effects = &mut *turn.effects;
+        route.poll(&job.commands, self.limit, turn.now, |bytes| {
+            effects.push(Effect::Publish {
+                key: key.as_str().to_owned(),
+                payload: bytes.to_vec(),
+                json: false,
+                lane: Lane::Order,
+            });
+        });
+    }
+
+    fn say_probe(&mut self, turn: &mut Turn<'_>) {
+        if !turn.may_probe || self.probe_at.is_some_and(|at| turn.now < at) {
+            return;
+        }
+        turn.may_probe = false;
+        let probe = ClockProbe {
+            probe: self.next_probe,
+            sent_at: turn.now,
+        };
+        self.next_probe = self.next_probe.wrapping_add(1);
+        if self.probes.len() == PROBES_MAX {
+            self.probes.pop_front();
+        }
+        self.probes.push_back((probe.probe, probe.sent_at));
+        self.probe_at = Some(turn.now.plus_us(self.clock.probe_period_us()));
+        let mut buffer = [0; 64];
+        let bytes = keys::version::encode(&ClockMessage::Probe(probe), &mut buffer)
+            .expect("a probe has at most 17 bytes");
+        turn.publish(&self.id, NodeTopic::Clock, bytes.to_vec(), Lane::RealTime);
+    }
+
+    pub(super) fn store(&mut self, turn: &mut Turn<'_>) {
+        if self.stored.as_ref() == Some(&self.facts) {
+            return;
+        }
+        turn.effects.push(Effect::Persist(Write::Put {
+            table: Table::Nodes,
+            key: self.id.to_string(),
+            value: to_json(&self.facts),
+        }));
+        self.stored = Some(self.facts.clone());
+    }
+}

@@ -1,0 +1,338 @@
+//! What a node says: its status, its answers to orders, its clock replies, and the end of its
+//! liveliness token. Owns the decision which of it is news, and every outcome of a job.
+
+use super::{Latch, Node, REPLACED_BOOTS_MAX, Released, Repeat, SeenFault, Turn};
+use crate::{
+    fleet::{
+        clock::Stamps,
+        route::{Route, Setback},
+    },
+    job::{Activation, Change, Ending, Job},
+};
+use keys::{
+    BatchAck, FleetMicros, NodeState, QueueId, Refusal, Status, StopReason, StopReport, Verdict,
+    clock::ClockReply,
+    record::{ErrorCode, JobError, JobState},
+};
+
+impl Node {
+    /// The liveliness token went.
+    pub(in crate::fleet) fn handle_token_gone(&mut self, turn: &mut Turn<'_>) {
+        if self.alive {
+            self.go_offline(turn);
+        }
+    }
+
+    /// A status arrived.
+    pub(in crate::fleet) fn handle_status(&mut self, status: Status, turn: &mut Turn<'_>) {
+        let Some(before) = self.place(&status, turn) else {
+            return;
+        };
+        self.heard_at = turn.now;
+        self.alive = true;
+        self.stale_record = true;
+        if before != Some(status.queue) {
+            self.accepted = 0;
+            self.executed = 0;
+            self.limit = 0;
+            self.stop_route();
+            self.facts.queue = status.queue;
+        }
+        // What was to be dropped is over, perhaps since before the gateway came back.
+        self.facts.drop_queue = self.facts.drop_queue.filter(|queue| *queue == status.queue);
+        self.take_numbers(
+            status.accepted_commands,
+            status.executed_commands,
+            status.credit_commands,
+            turn.now,
+        );
+        self.note_faults(&status, turn.now);
+        let same_queue = before.is_none_or(|queue| queue == status.queue);
+        self.take_latch(&status, same_queue, turn);
+        self.facts.features = status.features;
+        self.facts.firmware = status.firmware;
+        let axes = status.axes.iter().map(|axis| axis.position_steps);
+        if self.stored.is_none() || self.facts.position_steps.len() != status.axes.len() {
+            self.facts.position_steps = axes.collect();
+        }
+        self.status = Some(status);
+        self.store(turn);
+        self.judge_active(turn);
+    }
+
+    /// Decides whether a status is news. `None`: it is not. Else the queue that was known before.
+    fn place(&mut self, status: &Status, turn: &Turn<'_>) -> Option<Option<QueueId>> {
+        if self.stored.is_none() {
+            return Some(None);
+        }
+        let known = self.facts.queue;
+        let silent_us = turn.now.since_us(self.heard_at);
+        if status.queue.boot != known.boot {
+            let replaced = self.facts.replaced_boots.contains(&status.queue.boot);
+            // Two controllers of one name, or a boot number that came twice: whoever speaks when
+            // the other one has long been silent is believed.
+            if replaced && silent_us < turn.config.silence_us {
+                return None;
+            }
+            self.facts
+                .replaced_boots
+                .retain(|boot| *boot != status.queue.boot);
+            if self.facts.replaced_boots.len() == REPLACED_BOOTS_MAX {
+                self.facts.replaced_boots.pop_front();
+            }
+            self.facts.replaced_boots.push_back(known.boot);
+            self.status = None;
+            self.faults.clear();
+            return Some(Some(known));
+        }
+        if status.queue.flush < known.flush {
+            return None;
+        }
+        let older = self
+            .status
+            .as_ref()
+            .is_some_and(|last| status.queue == known && status.at < last.at);
+        // No message is late for that long: the node's clock was set back.
+        if older && silent_us < turn.config.silence_us / 2 {
+            return None;
+        }
+        Some(Some(known))
+    }
+
+    fn take_numbers(&mut self, accepted: u64, executed: u64, credit: u32, now: FleetMicros) {
+        self.accepted = self.accepted.max(accepted);
+        self.executed = self.executed.max(executed);
+        // Room never shrinks: commands leave it only by being executed.
+        self.limit = self.limit.max(accepted.saturating_add(u64::from(credit)));
+        if let Some(route) = &mut self.route {
+            route.handle_accepted(self.accepted, now);
+        }
+    }
+
+    fn note_faults(&mut self, status: &Status, now: FleetMicros) {
+        self.faults
+            .retain(|seen| status.faults.contains(&seen.fault));
+        for fault in &status.faults {
+            if !self.faults.iter().any(|seen| seen.fault == *fault) {
+                let at = self.fleet_from_local(fault.at, status.at, now);
+                self.faults.push(SeenFault { fault: *fault, at });
+            }
+        }
+        self.faults.sort_by_key(|seen| seen.fault.at);
+    }
+
+    fn take_latch(&mut self, status: &Status, same_queue: bool, turn: &mut Turn<'_>) {
+        let before = self.facts.latch;
+        if !matches!(status.state, NodeState::Stopped | NodeState::Fault) {
+            self.facts.latch = None;
+            self.coming_to_rest = false;
+            if let Some(wish) = self.release.take() {
+                turn.released
+                    .extend(wish.waiters.into_iter().map(|to| Released {
+                        to,
+                        outcome: Ok(()),
+                    }));
+            }
+            return;
+        }
+        // A latch that closes over a queue which was open is on its way: the report that is in
+        // the status belongs to an earlier stop.
+        let was_open = self.status.is_some() && before.is_none();
+        if !same_queue {
+            self.coming_to_rest = false;
+        } else if was_open {
+            self.coming_to_rest = true;
+        }
+        let report = status
+            .stop
+            .as_ref()
+            .filter(|report| !self.coming_to_rest && report.reason != StopReason::Cancel);
+        let reason = match (status.state, report) {
+            (NodeState::Fault, _) => Some(StopReason::Fault),
+            (_, Some(report)) => Some(report.reason),
+            (_, None) if self.facts.pending_stop.is_some() => Some(StopReason::Client),
+            (_, None) => before.and_then(|latch| latch.reason),
+        };
+        let kept = before.filter(|latch| latch.queue == status.queue && latch.reason == reason);
+        let latch = kept.unwrap_or_else(|| Latch {
+            queue: status.queue,
+            reason,
+            at: report.map_or(turn.now, |report| {
+                self.fleet_from_local(report.at, status.at, turn.now)
+            }),
+        });
+        self.facts.latch = Some(latch);
+        self.facts.pending_stop = None;
+        self.stop = Repeat::default();
+        // A lost link is nobody's wish to end what waits; whatever else latches is.
+        let news = before.and_then(|latch| latch.reason) != reason;
+        if let Some(reason) = reason.filter(|reason| news && *reason != StopReason::Link) {
+            let message = format!(
+                "the node was stopped ({}) before the job began",
+                reason.as_str()
+            );
+            let error = JobError::new(ErrorCode::Stopped, message);
+            self.fail_waiting(&error, turn);
+        }
+    }
+
+    /// Draws the conclusion for the active job from the last status.
+    pub(super) fn judge_active(&mut self, turn: &mut Turn<'_>) {
+        let Some(id) = self.active else { return };
+        let (Some(job), Some(status)) = (turn.book.get(&id), &self.status) else {
+            return;
+        };
+        let Some(Activation { queue, base, .. }) = job.entry.activation else {
+            return;
+        };
+        let total = job.entry.record.progress.total;
+        if queue != status.queue {
+            let report = status.stop.clone();
+            let change = self.outcome_of_dropped(job, queue, report.as_ref());
+            self.finish_active(change, turn);
+            return;
+        }
+        // Success needs the word that also tells the positions; an answer may have been quicker.
+        if job.done_of(status.executed_commands) >= total {
+            let change = Change::to(JobState::Succeeded)
+                .done(total)
+                .position(status.axes.iter().map(|axis| axis.position_steps));
+            self.facts.position_steps = status.axes.iter().map(|a| a.position_steps).collect();
+            self.finish_active(change, turn);
+            return;
+        }
+        let done = job.done_of(self.executed);
+        let moving = status.state == NodeState::Running && status.job == Some(id);
+        let state = if done > 0 || moving || job.state() == JobState::Running {
+            JobState::Running
+        } else {
+            JobState::Sent
+        };
+        let told = job.entry.record.progress.done;
+        let progress_due =
+            done > told && turn.now.since_us(job.progress_told_at) >= turn.config.progress_us;
+        let resumable = job.entry.ending.is_none();
+        if state != job.state() || progress_due {
+            let change = Change::to(state).done(done);
+            turn.book.change(&id, change, turn.now, turn.effects);
+        }
+        if self.route.is_none() && resumable {
+            let mut route = Route::new(
+                id,
+                queue,
+                base,
+                base + total,
+                turn.config.window_batches,
+                self.round_trip,
+            );
+            route.handle_accepted(self.accepted, turn.now);
+            self.route = Some(route);
+        }
+    }
+
+    /// The outcome of a job whose queue is over.
+    fn outcome_of_dropped(&self, job: &Job, queue: QueueId, report: Option<&StopReport>) -> Change {
+        let total = job.entry.record.progress.total;
+        let report = report.filter(|report| report.queue == queue);
+        let same_boot = queue.boot == self.facts.queue.boot;
+        let done = match report {
+            Some(report) => job.done_of(report.executed_commands),
+            None => job.entry.record.progress.done,
+        };
+        let change = if done >= total {
+            Change::to(JobState::Succeeded)
+        } else {
+            match (&job.entry.ending, report) {
+                (Some(Ending::Cancel), _) => Change::to(JobState::Canceled),
+                // Both states say all there is to say; no error code means either.
+                (Some(Ending::Timeout), _) => Change::to(JobState::TimedOut),
+                (Some(Ending::Fail(error)), _) => Change::to(JobState::Failed).error(error.clone()),
+                (None, Some(report)) => {
+                    let message = format!(
+                        "stopped ({}); {done} of {total} commands were done",
+                        report.reason.as_str()
+                    );
+                    let error = JobError::new(ErrorCode::Stopped, message);
+                    Change::to(JobState::Failed).error(error)
+                }
+                (None, None) if same_boot => {
+                    let message = format!(
+                        "the node stopped more than once while it was not heard; \
+                         {done} of {total} commands were done when last heard"
+                    );
+                    let error = JobError::new(ErrorCode::Stopped, message);
+                    Change::to(JobState::Failed).error(error)
+                }
+                (None, None) => {
+                    let message = format!(
+                        "the node restarted; {done} of {total} commands were done when last heard"
+                    );
+                    let error = JobError::new(ErrorCode::NodeOffline, message);
+                    Change::to(JobState::Failed).error(error)
+                }
+            }
+        };
+        let change = change.done(done);
+        match report {
+            Some(report) => change.position(report.positions_steps.iter().copied()),
+            None => change,
+        }
+    }
+
+    /// An answer to an order arrived.
+    pub(in crate::fleet) fn handle_ack(&mut self, ack: &BatchAck, turn: &mut Turn<'_>) {
+        // Only a status tells how a queue ended, so an answer of any other one says nothing.
+        if !self.alive || ack.queue != self.facts.queue || self.status.is_none() {
+            return;
+        }
+        self.heard_at = turn.now;
+        self.stale_record = true;
+        self.take_numbers(
+            ack.accepted_commands,
+            ack.executed_commands,
+            ack.credit_commands,
+            turn.now,
+        );
+        let Verdict::Refused(refusal) = ack.verdict else {
+            return;
+        };
+        let Some(route) = &mut self.route else { return };
+        match route.handle_refusal(refusal, ack.accepted_commands, turn.now) {
+            Setback::None => {
+                if refusal == Refusal::QueueShort && ack.accepted_commands == self.accepted {
+                    self.limit = ack.accepted_commands + u64::from(ack.credit_commands);
+                }
+            }
+            Setback::BadCommand { index } => {
+                let message = format!("commands[{index}]: the node does not take it");
+                let error = JobError::new(ErrorCode::BadCommand, message);
+                self.end_active(Ending::Fail(error), turn);
+            }
+            Setback::Malformed => {
+                let message = "the node does not understand this gateway's orders; \
+                               are their versions too far apart?";
+                let error = JobError::new(ErrorCode::Internal, message);
+                self.end_active(Ending::Fail(error), turn);
+            }
+        }
+    }
+
+    /// A clock reply arrived, and when.
+    pub(in crate::fleet) fn handle_clock(&mut self, reply: ClockReply, arrived_at: FleetMicros) {
+        let asked = (reply.probe, reply.sent_at);
+        let Some(at) = self.probes.iter().position(|probe| *probe == asked) else {
+            return;
+        };
+        self.probes.remove(at);
+        if reply.boot != self.facts.queue.boot {
+            return;
+        }
+        let stamps = Stamps {
+            sent_at: reply.sent_at,
+            received_at: reply.received_at,
+            replied_at: reply.replied_at,
+            back_at: arrived_at,
+        };
+        self.clock.observe(reply.boot, stamps);
+    }
+}

@@ -1,0 +1,175 @@
+//! The fleet as the store knows it, after a start of the gateway.
+//!
+//! Promises: a job that waits keeps its place. A job that was on its way is neither called lost
+//! nor sent again by the start alone: its node's next status decides (it goes on, or it is over,
+//! and how), or its silence does (lost). What the store holds too much of because the power failed
+//! between two writes is removed: requests of jobs that are final or unknown.
+
+use super::{
+    Fleet, FleetConfig, LIMIT_DEFAULT,
+    event::{Effect, Table, Write},
+    node::{Facts, Node},
+    submit::commands_of,
+};
+use crate::job::{Job, JobEntry};
+use keys::{FleetMicros, JobId, NodeId, job::JobRequest};
+use std::{collections::HashMap, sync::Arc};
+
+/// Everything that is in the store: key and value of each table.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Stored {
+    /// [`Table::Requests`].
+    pub requests: Vec<(String, Vec<u8>)>,
+    /// [`Table::Jobs`].
+    pub jobs: Vec<(String, Vec<u8>)>,
+    /// [`Table::Nodes`].
+    pub nodes: Vec<(String, Vec<u8>)>,
+}
+
+/// The store holds something that this gateway did not write.
+#[derive(Debug, thiserror::Error)]
+pub enum RestoreError {
+    /// A job's entry cannot be read.
+    #[error("the store's entry of job `{job}` cannot be read: {why}")]
+    Job {
+        /// The key in the table.
+        job: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A job is not final, but what it shall do is missing or cannot be read.
+    #[error("the store's request of job `{job}` cannot be read: {why}")]
+    Request {
+        /// The job.
+        job: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A node's facts cannot be read.
+    #[error("the store's entry of node `{node}` cannot be read: {why}")]
+    Node {
+        /// The key in the table.
+        node: String,
+        /// What is wrong with it.
+        why: String,
+    },
+}
+
+impl Fleet {
+    /// Takes up the fleet where the store left it.
+    ///
+    /// # Errors
+    /// Something in the store cannot be read. Nothing is guessed and nothing is dropped: a job
+    /// that was accepted must not vanish.
+    pub fn restore(
+        config: FleetConfig,
+        seed: u64,
+        stored: Stored,
+        now: FleetMicros,
+        effects: &mut Vec<Effect>,
+    ) -> Result<Self, RestoreError> {
+        let mut fleet = Self::new(config, seed);
+        let now = fleet.begin(now);
+        for (name, value) in stored.nodes {
+            let (id, facts) =
+                read_node(&name, &value).map_err(|why| RestoreError::Node { node: name, why })?;
+            fleet.nodes.insert(id, Node::new(id, Some(facts), now));
+        }
+        let mut requests: HashMap<String, Vec<u8>> = stored.requests.into_iter().collect();
+        let mut entries = Vec::with_capacity(stored.jobs.len());
+        for (name, value) in stored.jobs {
+            let entry =
+                read_entry(&name, &value).map_err(|why| RestoreError::Job { job: name, why })?;
+            entries.push(entry);
+        }
+        entries.sort_by_key(|entry| entry.sequence);
+        for entry in entries {
+            fleet.restore_job(entry, &mut requests, now)?;
+        }
+        let mut orphans: Vec<String> = requests.into_keys().collect();
+        orphans.sort();
+        for key in orphans {
+            effects.push(Effect::Persist(Write::Remove {
+                table: Table::Requests,
+                key,
+            }));
+        }
+        fleet.book.prune(effects);
+        fleet.book.tell_again(LIMIT_DEFAULT, effects);
+        let nodes: Vec<NodeId> = fleet.nodes.keys().copied().collect();
+        for id in nodes {
+            fleet.with_node(id, effects, |_, _| {});
+        }
+        Ok(fleet)
+    }
+
+    fn restore_job(
+        &mut self,
+        entry: JobEntry,
+        requests: &mut HashMap<String, Vec<u8>>,
+        now: FleetMicros,
+    ) -> Result<(), RestoreError> {
+        let id = entry.record.job;
+        let name = || id.to_string();
+        if entry.record.state.is_final() {
+            self.book.restore(Job::new(entry, Arc::new([])));
+            return Ok(());
+        }
+        let node = entry.record.node.ok_or_else(|| RestoreError::Job {
+            job: name(),
+            why: "it is not final and names no node".into(),
+        })?;
+        let bytes = requests
+            .remove(&name())
+            .ok_or_else(|| RestoreError::Request {
+                job: name(),
+                why: "there is none".into(),
+            })?;
+        let request = keys::version::decode::<JobRequest>(&bytes);
+        let request = request.map_err(|error| RestoreError::Request {
+            job: name(),
+            why: error.to_string(),
+        })?;
+        let commands = commands_of(&request);
+        if commands.len() as u64 != entry.record.progress.total {
+            return Err(RestoreError::Request {
+                job: name(),
+                why: format!(
+                    "it has {} commands, the record says {}",
+                    commands.len(),
+                    entry.record.progress.total
+                ),
+            });
+        }
+        let job = Job::new(entry, commands);
+        let view = self
+            .nodes
+            .entry(node)
+            .or_insert_with(|| Node::new(node, None, now));
+        if job.entry.activation.is_some() {
+            view.resume(&job).map_err(|other| RestoreError::Job {
+                job: name(),
+                why: format!("node {node} has job {other} already"),
+            })?;
+        } else {
+            view.enqueue(id);
+        }
+        self.book.restore(job);
+        Ok(())
+    }
+}
+
+fn read_node(name: &str, value: &[u8]) -> Result<(NodeId, Facts), String> {
+    let id = NodeId::new(name).map_err(|error| error.to_string())?;
+    let facts = serde_json::from_slice(value).map_err(|error| error.to_string())?;
+    Ok((id, facts))
+}
+
+fn read_entry(name: &str, value: &[u8]) -> Result<JobEntry, String> {
+    let id = JobId::new(name).map_err(|error| error.to_string())?;
+    let entry: JobEntry = serde_json::from_slice(value).map_err(|error| error.to_string())?;
+    if entry.record.job != id {
+        return Err(format!("it is the entry of job {}", entry.record.job));
+    }
+    Ok(entry)
+}

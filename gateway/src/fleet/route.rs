@@ -1,0 +1,406 @@
+//! One job's commands → numbered batches for one node, by credit. Owns what is on its way; the
+//! commands themselves stay with the job and are cut anew from wherever the node says it is.
+//!
+//! ```text
+//!   base           accepted          next              limit          end
+//!    │── the node has ──│── on its way ──│── may be sent ──│── no room ──│
+//! ```
+//!
+//! Promises: at most [`Route::window_batches`] batches are unanswered; nothing is sent beyond the
+//! room that the node has told; a batch that is not answered in time, or that the node could not
+//! place, is sent again from the number that the node asks for (go-back-N). A command that the
+//! node has is never sent a second time under another number.
+//!
+//! Absent on purpose: persistence. Numbers make a repeated batch harmless, so what was sent need
+//! not be remembered over a restart.
+
+use keys::{
+    BatchHeader, Command, FleetMicros, JobId, QueueId, Refusal,
+    batch::{BatchWriter, ORDER_BYTES_MAX},
+};
+use std::collections::VecDeque;
+
+/// Shortest wait for an answer before a batch is sent again, µs.
+pub const RETRY_US_MIN: u64 = 200_000;
+
+/// Longest such wait, µs.
+pub const RETRY_US_MAX: u64 = 2_000_000;
+
+/// How often a node may call the same batch malformed before its job is given up.
+pub const MALFORMED_COUNT_MAX: u32 = 8;
+
+/// The smoothed time from an order to its answer; outlives a route.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RoundTrip {
+    smoothed_us: Option<u64>,
+}
+
+impl RoundTrip {
+    /// Takes one measurement, with the weight 1/8 that TCP uses (RFC 6298).
+    pub fn observe(&mut self, rtt_us: u64) {
+        self.smoothed_us = Some(match self.smoothed_us {
+            None => rtt_us,
+            Some(smoothed_us) => smoothed_us - smoothed_us / 8 + rtt_us / 8,
+        });
+    }
+
+    /// Returns how long to wait for an answer, µs.
+    pub fn retry_us(&self) -> u64 {
+        let patient_us = self.smoothed_us.unwrap_or(0).saturating_mul(4);
+        patient_us.clamp(RETRY_US_MIN, RETRY_US_MAX)
+    }
+}
+
+/// A batch that was sent and not answered.
+#[derive(Clone, Copy, Debug)]
+struct Flight {
+    end: u64,
+    sent_at: FleetMicros,
+    /// Sent before: an answer tells nothing about the time it took (Karn).
+    again: bool,
+}
+
+/// The way of one job's commands to its node.
+#[derive(Clone, Debug)]
+pub struct Route {
+    job: JobId,
+    queue: QueueId,
+    base: u64,
+    end: u64,
+    /// What the node has, as far as is known.
+    accepted: u64,
+    next: u64,
+    /// Highest number that was ever sent.
+    sent_max: u64,
+    flights: VecDeque<Flight>,
+    window_batches: usize,
+    /// What the node had when it went back last, and when that was.
+    back: Option<(u64, FleetMicros)>,
+    hold_until: Option<FleetMicros>,
+    /// Doubles the wait while nothing gets through.
+    retry_shift: u32,
+    malformed_count: u32,
+    round_trip: RoundTrip,
+}
+
+/// What a refusal means for the job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Setback {
+    /// The route deals with it.
+    None,
+    /// The node does not take the command at this index of the job.
+    BadCommand {
+        /// Index in the job, from 0.
+        index: u64,
+    },
+    /// The node does not understand the orders at all.
+    Malformed,
+}
+
+impl Route {
+    /// Begins or resumes a job: its commands are `base..end` of that queue.
+    pub fn new(
+        job: JobId,
+        queue: QueueId,
+        base: u64,
+        end: u64,
+        window_batches: usize,
+        round_trip: RoundTrip,
+    ) -> Self {
+        Self {
+            job,
+            queue,
+            base,
+            end,
+            accepted: base,
+            next: base,
+            sent_max: base,
+            flights: VecDeque::with_capacity(window_batches),
+            window_batches,
+            back: None,
+            hold_until: None,
+            retry_shift: 0,
+            malformed_count: 0,
+            round_trip,
+        }
+    }
+
+    /// Returns what was learnt about the way.
+    pub fn round_trip(&self) -> RoundTrip {
+        self.round_trip
+    }
+
+    /// Returns how many batches may be unanswered at a time.
+    pub fn window_batches(&self) -> usize {
+        self.window_batches
+    }
+
+    /// The node has so many commands of the queue.
+    pub fn handle_accepted(&mut self, accepted: u64, now: FleetMicros) {
+        if accepted <= self.accepted {
+            return;
+        }
+        self.accepted = accepted;
+        self.next = self.next.max(accepted).min(self.end);
+        self.retry_shift = 0;
+        self.malformed_count = 0;
+        self.hold_until = None;
+        while let Some(flight) = self.flights.front().copied() {
+            if flight.end > accepted {
+                break;
+            }
+            if flight.end == accepted && !flight.again {
+                self.round_trip.observe(now.since_us(flight.sent_at));
+            }
+            self.flights.pop_front();
+        }
+    }
+
+    /// The node refused something while it had so many commands.
+    pub fn handle_refusal(&mut self, refusal: Refusal, accepted: u64, now: FleetMicros) -> Setback {
+        // An answer from before what is known already: its cause is dealt with.
+        if accepted < self.accepted {
+            return Setback::None;
+        }
+        match refusal {
+            Refusal::Gap | Refusal::Overlap => {
+                // Every batch behind a lost one is refused; going back once answers them all.
+                let answered = self.back.is_some_and(|(back_accepted, at)| {
+                    back_accepted == accepted && now.since_us(at) < self.retry_us()
+                });
+                if !answered {
+                    self.go_back(now);
+                }
+                Setback::None
+            }
+            Refusal::QueueShort | Refusal::Stale | Refusal::Stopped => {
+                // The next status tells more; until then the node has nothing to gain from us.
+                self.hold(now);
+                Setback::None
+            }
+            Refusal::BadCommand { index } => {
+                let number = accepted + u64::from(index);
+                if number < self.end {
+                    Setback::BadCommand {
+                        index: number - self.base,
+                    }
+                } else {
+                    Setback::None
+                }
+            }
+            Refusal::Malformed => {
+                self.malformed_count += 1;
+                if self.malformed_count >= MALFORMED_COUNT_MAX {
+                    return Setback::Malformed;
+                }
+                self.hold(now);
+                Setback::None
+            }
+        }
+    }
+
+    /// Sends what may be sent: `limit` is the number up to which the node has room, `commands`
+    /// are all of the job.
+    pub fn poll(
+        &mut self,
+        commands: &[Command],
+        limit: u64,
+        now: FleetMicros,
+        mut send: impl FnMut(&[u8]),
+    ) {
+        if let Some(until) = self.hold_until {
+            if now < until {
+                return;
+            }
+            self.hold_until = None;
+        }
+        if self.retry_at().is_some_and(|at| now >= at) {
+            self.retry_shift = (self.retry_shift + 1).min(4);
+            self.go_back(now);
+        }
+        let limit = limit.min(self.end);
+        while self.flights.len() < self.window_batches && self.next < limit {
+            let first = self.next;
+            let mut writer = BatchWriter::new();
+            let from = usize::try_from(first - self.base).unwrap_or(usize::MAX);
+            let to = usize::try_from(limit - self.base).unwrap_or(usize::MAX);
+            for command in commands.get(from..to).unwrap_or_default() {
+                if !writer.push(command) {
+                    break;
+                }
+            }
+            let count = u64::from(writer.command_count());
+            if count == 0 {
+                return;
+            }
+            let header = BatchHeader {
+                queue: self.queue,
+                first_command: first,
+                command_count: 0,
+                job: self.job,
+                job_end: self.end,
+            };
+            let mut buffer = [0; ORDER_BYTES_MAX];
+            let bytes = writer
+                .finish(header, &mut buffer)
+                .expect("the buffer has the size that the writer asks for");
+            send(bytes);
+            self.next += count;
+            self.flights.push_back(Flight {
+                end: self.next,
+                sent_at: now,
+                again: first < self.sent_max,
+            });
+            self.sent_max = self.sent_max.max(self.next);
+        }
+    }
+
+    /// Returns when [`Route::poll`] has something to do although nothing has arrived.
+    pub fn poll_timeout(&self) -> Option<FleetMicros> {
+        self.hold_until.or_else(|| self.retry_at())
+    }
+
+    fn retry_us(&self) -> u64 {
+        (self.round_trip.retry_us() << self.retry_shift).min(RETRY_US_MAX)
+    }
+
+    fn retry_at(&self) -> Option<FleetMicros> {
+        let oldest = self.flights.front()?;
+        Some(oldest.sent_at.plus_us(self.retry_us()))
+    }
+
+    fn go_back(&mut self, now: FleetMicros) {
+        self.back = Some((self.accepted, now));
+        self.next = self.accepted.min(self.end);
+        self.flights.clear();
+    }
+
+    fn hold(&mut self, now: FleetMicros) {
+        self.go_back(now);
+        self.hold_until = Some(now.plus_us(self.retry_us()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use keys::{AxisId, BatchReader, Order};
+
+    const QUEUE: QueueId = QueueId { boot: 7, flush: 1 };
+    const BASE: u64 = 100;
+
+    fn commands(count: usize) -> Vec<Command> {
+        (0..count)
+            .map(|index| Command::Move {
+                axis: AxisId(0),
+                delay_us: 100,
+                steps: index as i32 + 1,
+            })
+            .collect()
+    }
+
+    fn route(count: usize) -> (Route, Vec<Command>) {
+        let job = JobId::new("a").expect("legal");
+        let end = BASE + count as u64;
+        let route = Route::new(job, QUEUE, BASE, end, 4, RoundTrip::default());
+        (route, commands(count))
+    }
+
+    /// Sends, and returns first number and count of each batch.
+    fn sent(route: &mut Route, commands: &[Command], limit: u64, now_us: u64) -> Vec<(u64, u64)> {
+        let mut sent = Vec::new();
+        route.poll(commands, limit, FleetMicros(now_us), |bytes| {
+            let mut reader = BatchReader::new(bytes).expect("reads");
+            let Order::Batch(header) = *reader.order() else {
+                panic!("no batch")
+            };
+            for number in
+                header.first_command..header.first_command + u64::from(header.command_count)
+            {
+                let command = reader.next_command().expect("reads");
+                assert_eq!(command, Some(commands[(number - BASE) as usize]));
+            }
+            sent.push((header.first_command, u64::from(header.command_count)));
+        });
+        sent
+    }
+
+    #[test]
+    fn no_more_batches_are_on_their_way_than_the_window_and_no_command_beyond_the_room() {
+        let (mut route, commands) = route(10_000);
+        let first = sent(&mut route, &commands, u64::MAX, 0);
+        assert_eq!(first.len(), 4);
+        assert_eq!(sent(&mut route, &commands, u64::MAX, 1), []);
+        let has = first[0].0 + first[0].1;
+        route.handle_accepted(has, FleetMicros(1_000));
+        assert_eq!(sent(&mut route, &commands, u64::MAX, 1_000).len(), 1);
+
+        let (mut route, commands) = self::route(10_000);
+        assert_eq!(sent(&mut route, &commands, BASE + 10, 0), [(BASE, 10)]);
+        assert_eq!(sent(&mut route, &commands, BASE + 10, 0), []);
+        assert_eq!(sent(&mut route, &commands, BASE + 15, 0), [(BASE + 10, 5)]);
+    }
+
+    #[test]
+    fn an_unanswered_batch_is_sent_again_and_ever_more_slowly() {
+        let (mut route, commands) = route(10);
+        assert_eq!(sent(&mut route, &commands, u64::MAX, 0), [(BASE, 10)]);
+        let mut at = 0;
+        let mut waits = Vec::new();
+        for _ in 0..6 {
+            let due = route.poll_timeout().expect("waits").0;
+            assert_eq!(sent(&mut route, &commands, u64::MAX, due - 1), []);
+            assert_eq!(sent(&mut route, &commands, u64::MAX, due), [(BASE, 10)]);
+            waits.push(due - at);
+            at = due;
+        }
+        assert_eq!(
+            waits,
+            [200_000, 400_000, 800_000, 1_600_000, 2_000_000, 2_000_000]
+        );
+    }
+
+    #[test]
+    fn one_lost_batch_is_answered_by_going_back_once() {
+        let (mut route, commands) = route(10_000);
+        let batches = sent(&mut route, &commands, u64::MAX, 0);
+        let has = batches[0].0 + batches[0].1;
+        route.handle_accepted(has, FleetMicros(1_000));
+        // The second one is lost; the third and fourth leave a gap.
+        for _ in 0..2 {
+            let setback = route.handle_refusal(Refusal::Gap, has, FleetMicros(2_000));
+            assert_eq!(setback, Setback::None);
+            let again = sent(&mut route, &commands, u64::MAX, 2_000);
+            assert!(again.is_empty() || again[0].0 == has, "{again:?}");
+        }
+        assert_eq!(route.flights.len(), 4);
+        assert_eq!(route.flights[0].end, has + batches[1].1);
+    }
+
+    #[test]
+    fn an_answer_from_the_past_changes_nothing() {
+        let (mut route, commands) = route(1_000);
+        sent(&mut route, &commands, u64::MAX, 0);
+        route.handle_accepted(BASE + 500, FleetMicros(1_000));
+        let before = route.next;
+        route.handle_accepted(BASE + 100, FleetMicros(2_000));
+        let setback = route.handle_refusal(
+            Refusal::BadCommand { index: 3 },
+            BASE + 100,
+            FleetMicros(2_000),
+        );
+        assert_eq!((setback, route.next), (Setback::None, before));
+    }
+
+    #[test]
+    fn a_refused_command_is_named_by_its_place_in_the_job() {
+        let (mut route, commands) = route(1_000);
+        sent(&mut route, &commands, u64::MAX, 0);
+        route.handle_accepted(BASE + 200, FleetMicros(1_000));
+        let refusal = Refusal::BadCommand { index: 3 };
+        assert_eq!(
+            route.handle_refusal(refusal, BASE + 200, FleetMicros(1_000)),
+            Setback::BadCommand { index: 203 }
+        );
+    }
+}

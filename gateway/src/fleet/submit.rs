@@ -1,0 +1,364 @@
+//! A job comes in: which nodes it is for, whether they can carry it out, and under which name it
+//! is kept. Owns the rules of ids; everything that is accepted here is durable before its receipt
+//! leaves.
+//!
+//! | a client's id is | put and get |
+//! |---|---|
+//! | free | the job has it |
+//! | taken by a job | the receipt of that job, nothing else happens |
+//! | taken by a rejected job | the job has it, and the record's version goes on |
+//! | on a wild key | each node's job is called ID-NODE |
+
+use super::{
+    Fleet, error_reply,
+    event::{Effect, ReplyTo},
+    pattern::Pattern,
+};
+use crate::job::{Job, JobEntry, new_record};
+use keys::{
+    Command, Features, GroupId, JobId, NodeId, NodeTopic,
+    job::{JobRequest, Offline, Work},
+    record::{ErrorCode, JobError, JobState, Receipt, to_json},
+};
+use std::sync::Arc;
+
+/// A job that is made ready for several nodes.
+struct Prepared {
+    id: Option<JobId>,
+    commands: Arc<[Command]>,
+    script: bool,
+    stored: Vec<u8>,
+    offline: Offline,
+    timeout_us: Option<u64>,
+}
+
+impl Fleet {
+    pub(super) fn submit(
+        &mut self,
+        pattern: &str,
+        request: Result<JobRequest, JobError>,
+        id_hint: Option<JobId>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let name = match Pattern::new(pattern) {
+            Pattern::Name(name) => Some(name),
+            Pattern::Wild(_) | Pattern::Malformed(_) => None,
+        };
+        // A refused job's record names its node even if nobody has ever seen it.
+        let node = name.and_then(|name| NodeId::new(name).ok());
+        match request {
+            Err(error) => self.refuse(error, id_hint, node, None, reply, effects),
+            Ok(request) => match name {
+                Some(_) => self.submit_to_one(pattern, node, &request, reply, effects),
+                None => self.submit_to_each(pattern, &request, reply, effects),
+            },
+        }
+        if let Some(to) = reply {
+            effects.push(Effect::ReplyEnd { to });
+        }
+    }
+
+    pub(super) fn submit_group(
+        &mut self,
+        pattern: &str,
+        id_hint: Option<JobId>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let error = JobError::new(
+            ErrorCode::BadCommand,
+            "synchronized jobs are not supported by this node's firmware",
+        );
+        let group = GroupId::new(pattern).ok();
+        self.refuse(error, id_hint, None, group, reply, effects);
+        if let Some(to) = reply {
+            effects.push(Effect::ReplyEnd { to });
+        }
+    }
+
+    fn submit_to_one(
+        &mut self,
+        pattern: &str,
+        node: Option<NodeId>,
+        request: &JobRequest,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        if let (Some(id), Some(node)) = (request.id, node)
+            && self.answer_existing(&id, node, reply, effects)
+        {
+            return;
+        }
+        let known = node.filter(|id| self.nodes.contains_key(id));
+        let outcome = match known {
+            None => Err(self.nobody(pattern)),
+            Some(node) => {
+                let id = request.id.unwrap_or_else(|| self.make_id());
+                self.accept(node, id, &prepare(request), effects)
+            }
+        };
+        self.answer(outcome, request.id, node, reply, effects);
+    }
+
+    fn submit_to_each(
+        &mut self,
+        pattern: &str,
+        request: &JobRequest,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let mut alive = self.matching(pattern);
+        alive.retain(|id| self.nodes[id].is_alive());
+        if alive.is_empty() {
+            let error = self.nobody(pattern);
+            return self.refuse(error, request.id, None, None, reply, effects);
+        }
+        let prepared = prepare(request);
+        for node in alive {
+            let named = match prepared.id {
+                None => Ok(None),
+                Some(id) => {
+                    let text = format!("{id}-{node}");
+                    JobId::new(&text).map(Some).map_err(|_| {
+                        let message = format!(
+                            "id: each node's job is called ID-NODE, and `{text}` is too long"
+                        );
+                        JobError::new(ErrorCode::BadId, message)
+                    })
+                }
+            };
+            let id = named.clone().ok().flatten();
+            if let Some(id) = id
+                && self.answer_existing(&id, node, reply, effects)
+            {
+                continue;
+            }
+            let outcome = named.and_then(|named| {
+                let id = named.unwrap_or_else(|| self.make_id());
+                self.accept(node, id, &prepared, effects)
+            });
+            self.answer(outcome, id, Some(node), reply, effects);
+        }
+    }
+
+    /// Takes a job for a node that is known, or says why not.
+    fn accept(
+        &mut self,
+        node: NodeId,
+        id: JobId,
+        prepared: &Prepared,
+        effects: &mut Vec<Effect>,
+    ) -> Result<JobId, JobError> {
+        let view = &self.nodes[&node];
+        if prepared.script {
+            check_script(view.facts().features)?;
+        }
+        view.check(&prepared.commands)?;
+        if view.is_stopped() {
+            let message = format!("node {node} is stopped; release it first");
+            return Err(JobError::new(ErrorCode::Stopped, message));
+        }
+        if !view.is_alive() && prepared.offline == Offline::Reject {
+            let message = format!("node {node} is offline");
+            return Err(JobError::new(ErrorCode::NodeOffline, message));
+        }
+        let waiting_count = view.waiting().len();
+        if waiting_count >= self.config.waiting_jobs_max {
+            let message = format!("{waiting_count} jobs wait for node {node}; no more can");
+            return Err(JobError::new(ErrorCode::TooLarge, message));
+        }
+        let held = self.book.held_commands() + prepared.commands.len();
+        if held > self.config.held_commands_max {
+            let message = format!(
+                "all jobs together would hold {held} commands; at most {} can be held",
+                self.config.held_commands_max
+            );
+            return Err(JobError::new(ErrorCode::TooLarge, message));
+        }
+        let total = prepared.commands.len() as u64;
+        let mut record = new_record(id, Some(node), JobState::Queued, total, self.now);
+        record.version += self.version_of_rejected(&id);
+        let entry = JobEntry {
+            record,
+            sequence: self.book.take_sequence(),
+            activation: None,
+            ending: None,
+            timeout_us: prepared.timeout_us,
+        };
+        let job = Job::new(entry, prepared.commands.clone());
+        self.book
+            .insert(job, Some(prepared.stored.clone()), effects);
+        Ok(id)
+    }
+
+    /// Gives the receipt, starts the job if its node is free, or refuses it.
+    fn answer(
+        &mut self,
+        outcome: Result<JobId, JobError>,
+        named: Option<JobId>,
+        node: Option<NodeId>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        match (outcome, node) {
+            (Ok(id), Some(node)) => {
+                self.receipt(&id, node, reply, effects);
+                self.with_node(node, effects, |node, _| node.enqueue(id));
+            }
+            (Ok(_), None) => unreachable!("a job is accepted for a node only"),
+            (Err(error), _) => self.refuse(error, named, node, None, reply, effects),
+        }
+    }
+
+    fn answer_existing(
+        &self,
+        id: &JobId,
+        asked: NodeId,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) -> bool {
+        let exists = self
+            .book
+            .get(id)
+            .is_some_and(|job| job.state() != JobState::Rejected);
+        if exists {
+            self.receipt(id, asked, reply, effects);
+        }
+        exists
+    }
+
+    /// Answers a get on the job key of the node that was `asked`, which need not be the job's.
+    fn receipt(
+        &self,
+        id: &JobId,
+        asked: NodeId,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let (Some(to), Some(job)) = (reply, self.book.get(id)) else {
+            return;
+        };
+        let receipt = Receipt {
+            job: *id,
+            state: job.state(),
+        };
+        let key = self.config.keys.node(&asked, NodeTopic::Job);
+        effects.push(Effect::Reply {
+            to,
+            key: Some(key.as_str().to_owned()),
+            payload: to_json(&receipt),
+        });
+    }
+
+    /// Refuses a job: a get is told, a put leaves a record.
+    fn refuse(
+        &mut self,
+        error: JobError,
+        named: Option<JobId>,
+        node: Option<NodeId>,
+        group: Option<GroupId>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        if let Some(to) = reply {
+            effects.push(error_reply(to, error));
+            return;
+        }
+        let free = |id: &JobId| {
+            let job = self.book.get(id);
+            job.is_none_or(|job| job.state() == JobState::Rejected)
+        };
+        let id = named.filter(free).unwrap_or_else(|| self.make_id());
+        let mut record = new_record(id, node, JobState::Rejected, 0, self.now);
+        record.version += self.version_of_rejected(&id);
+        record.group = group;
+        record.error = Some(error);
+        let entry = JobEntry {
+            record,
+            sequence: self.book.take_sequence(),
+            activation: None,
+            ending: None,
+            timeout_us: None,
+        };
+        self.book
+            .insert(Job::new(entry, Arc::new([])), None, effects);
+    }
+
+    fn version_of_rejected(&self, id: &JobId) -> u64 {
+        self.book.get(id).map_or(0, |job| job.entry.record.version)
+    }
+
+    /// Makes a name that sorts by time: 11 digits of microseconds to the base 32, which last for
+    /// a thousand years, and 2 by chance, so that two gateways do not make the same.
+    fn make_id(&mut self) -> JobId {
+        const DIGITS: &[u8; 32] = b"0123456789abcdefghijklmnopqrstuv";
+        loop {
+            self.last_made_us = self.now.0.max(self.last_made_us + 1);
+            let mut text = [0; 13];
+            for (index, digit) in text[..11].iter_mut().enumerate() {
+                *digit = DIGITS[(self.last_made_us >> (5 * (10 - index)) & 31) as usize];
+            }
+            let chance = splitmix(&mut self.random);
+            text[11] = DIGITS[(chance & 31) as usize];
+            text[12] = DIGITS[(chance >> 5 & 31) as usize];
+            let text = std::str::from_utf8(&text).expect("digits are ASCII");
+            let id = JobId::new(text).expect("13 letters and digits are a name");
+            if self.book.get(&id).is_none() {
+                return id;
+            }
+        }
+    }
+}
+
+/// Turns a checked request into commands, and into what is stored.
+fn prepare(request: &JobRequest) -> Prepared {
+    Prepared {
+        id: request.id,
+        commands: commands_of(request),
+        script: matches!(request.work, Work::Lua(_)),
+        stored: stored_request(request),
+        offline: request.offline,
+        // Far beyond any job, and far from the end of the numbers.
+        timeout_us: request
+            .timeout_s
+            .map(|limit_s| (limit_s * 1e6).clamp(1.0, 1e15) as u64),
+    }
+}
+
+/// Returns the commands of a job in their order. A script has none before it runs.
+pub(super) fn commands_of(request: &JobRequest) -> Arc<[Command]> {
+    match &request.work {
+        // Meeting points have numbers in synchronized jobs only; any other job with one is refused.
+        Work::Commands(commands) => commands
+            .iter()
+            .map(|command| command.to_command(|_| 0))
+            .collect(),
+        Work::Lua(_) => Arc::new([]),
+    }
+}
+
+fn stored_request(request: &JobRequest) -> Vec<u8> {
+    let mut bytes = vec![keys::version::CURRENT];
+    bytes.extend(postcard::to_allocvec(request).expect("a request has no part that cannot be"));
+    bytes
+}
+
+/// Scripts are run by nodes, and no order carries one yet.
+fn check_script(features: Features) -> Result<(), JobError> {
+    let message = if features.has(Features::LUA) {
+        "lua: this gateway cannot send scripts to nodes"
+    } else {
+        "lua: not supported by this node's firmware"
+    };
+    Err(JobError::new(ErrorCode::BadCommand, message))
+}
+
+/// The next number of a sequence that only must not be guessed twice (splitmix64).
+fn splitmix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut mixed = *state;
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ (mixed >> 31)
+}

@@ -1,0 +1,220 @@
+//! Every job that is known, by name and in the order of history. Owns the records; each change
+//! leaves as one write and, behind it, one message.
+//!
+//! Promises: what is published was persisted before; a job that is not final has its request in
+//! the store, and the request goes only after the final record is written; at most
+//! [`Book::retention_jobs`] final jobs are kept, the ones that ended first go first.
+//!
+//! Absent on purpose: which job runs where. That is the node's view.
+
+use super::{Change, Job, JobEntry};
+use crate::fleet::event::{Effect, Lane, Table, Write};
+use keys::{FleetMicros, JobId, Keys, record::to_json};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// The jobs.
+#[derive(Debug)]
+pub struct Book {
+    keys: Keys,
+    retention_jobs: usize,
+    jobs: HashMap<JobId, Job>,
+    /// By sequence: the order in which they were accepted.
+    history: BTreeMap<u64, JobId>,
+    /// Final ones by the time of their end.
+    finals: BTreeSet<(FleetMicros, u64)>,
+    next_sequence: u64,
+    held_commands: usize,
+}
+
+impl Book {
+    /// Begins an empty book.
+    pub fn new(keys: Keys, retention_jobs: usize) -> Self {
+        Self {
+            keys,
+            retention_jobs,
+            jobs: HashMap::new(),
+            history: BTreeMap::new(),
+            finals: BTreeSet::new(),
+            next_sequence: 1,
+            held_commands: 0,
+        }
+    }
+
+    /// Returns how many final jobs are kept.
+    pub fn retention_jobs(&self) -> usize {
+        self.retention_jobs
+    }
+
+    /// Returns the job of this name.
+    pub fn get(&self, id: &JobId) -> Option<&Job> {
+        self.jobs.get(id)
+    }
+
+    /// Returns every job, newest first.
+    pub fn newest_first(&self) -> impl Iterator<Item = &Job> {
+        self.history
+            .values()
+            .rev()
+            .filter_map(|id| self.jobs.get(id))
+    }
+
+    /// Returns how many commands all jobs that are not final hold together.
+    pub fn held_commands(&self) -> usize {
+        self.held_commands
+    }
+
+    /// Returns the number for the next job, once.
+    pub fn take_sequence(&mut self) -> u64 {
+        let sequence = self.next_sequence;
+        self.next_sequence += 1;
+        sequence
+    }
+
+    /// Takes a job that was read from the store: nothing is written or published.
+    pub fn restore(&mut self, job: Job) {
+        self.next_sequence = self.next_sequence.max(job.entry.sequence + 1);
+        self.index(job);
+    }
+
+    /// Takes a new job, instead of a rejected one of the same name if there is one. `request` is
+    /// what a job that is not final needs to be resumed.
+    pub fn insert(&mut self, job: Job, request: Option<Vec<u8>>, effects: &mut Vec<Effect>) {
+        let id = job.id();
+        if let Some(old) = self.jobs.remove(&id) {
+            assert!(old.state().is_final(), "job {id} exists and is not final");
+            self.history.remove(&old.entry.sequence);
+            self.finals
+                .remove(&(old.entry.record.updated, old.entry.sequence));
+        }
+        // The request first: a request without a job is dropped at the next start, a job without
+        // its request could not be resumed.
+        if let Some(value) = request {
+            effects.push(Effect::Persist(Write::Put {
+                table: Table::Requests,
+                key: id.to_string(),
+                value,
+            }));
+        }
+        self.index(job);
+        self.tell(&id, effects);
+        self.prune(effects);
+    }
+
+    /// Changes a job's record, writes it and tells it.
+    ///
+    /// # Panics
+    /// There is no such job, or the change is not legal.
+    pub fn change(
+        &mut self,
+        id: &JobId,
+        change: Change,
+        now: FleetMicros,
+        effects: &mut Vec<Effect>,
+    ) {
+        let job = self.jobs.get_mut(id).expect("the caller has found the job");
+        let held_before = job.commands.len();
+        job.change(change, now);
+        self.held_commands -= held_before - job.commands.len();
+        let is_final = job.state().is_final();
+        if is_final {
+            let place = (job.entry.record.updated, job.entry.sequence);
+            self.finals.insert(place);
+        }
+        job.progress_told_at = now;
+        self.tell(id, effects);
+        if is_final {
+            effects.push(Effect::Persist(Write::Remove {
+                table: Table::Requests,
+                key: id.to_string(),
+            }));
+            self.prune(effects);
+        }
+    }
+
+    /// Edits what clients do not see, and writes it. The record itself must stay as it is.
+    ///
+    /// # Panics
+    /// There is no such job.
+    pub fn edit(
+        &mut self,
+        id: &JobId,
+        edit: impl FnOnce(&mut JobEntry),
+        effects: &mut Vec<Effect>,
+    ) {
+        let job = self.jobs.get_mut(id).expect("the caller has found the job");
+        edit(&mut job.entry);
+        let value = to_json(&job.entry);
+        effects.push(Effect::Persist(put(id, value)));
+    }
+
+    /// Edits what clients do not see; a [`Book::change`] follows and writes both at once.
+    ///
+    /// # Panics
+    /// There is no such job.
+    pub fn prepare(&mut self, id: &JobId, edit: impl FnOnce(&mut JobEntry)) {
+        let job = self.jobs.get_mut(id).expect("the caller has found the job");
+        edit(&mut job.entry);
+    }
+
+    /// Tells every record that is not final and the `final_count` ones that ended last again, as
+    /// they are.
+    pub fn tell_again(&self, final_count: usize, effects: &mut Vec<Effect>) {
+        let ended = self.finals.iter().rev().take(final_count);
+        let ended: BTreeSet<u64> = ended.map(|(_, sequence)| *sequence).collect();
+        for job in self.history.values().filter_map(|id| self.jobs.get(id)) {
+            if !job.state().is_final() || ended.contains(&job.entry.sequence) {
+                effects.push(self.message(&job.entry));
+            }
+        }
+    }
+
+    /// Removes the final jobs that ended first until no more than the retention are left.
+    pub fn prune(&mut self, effects: &mut Vec<Effect>) {
+        while self.finals.len() > self.retention_jobs {
+            let Some((_, sequence)) = self.finals.pop_first() else {
+                return;
+            };
+            let Some(id) = self.history.remove(&sequence) else {
+                continue;
+            };
+            self.jobs.remove(&id);
+            effects.push(Effect::Persist(Write::Remove {
+                table: Table::Jobs,
+                key: id.to_string(),
+            }));
+        }
+    }
+
+    fn index(&mut self, job: Job) {
+        let (id, sequence) = (job.id(), job.entry.sequence);
+        if job.state().is_final() {
+            self.finals.insert((job.entry.record.updated, sequence));
+        }
+        self.held_commands += job.commands.len();
+        self.history.insert(sequence, id);
+        self.jobs.insert(id, job);
+    }
+
+    fn tell(&self, id: &JobId, effects: &mut Vec<Effect>) {
+        let entry = &self.jobs[id].entry;
+        effects.push(Effect::Persist(put(id, to_json(entry))));
+        effects.push(self.message(entry));
+    }
+
+    fn message(&self, entry: &JobEntry) -> Effect {
+        Effect::Publish {
+            key: self.keys.job(&entry.record.job).as_str().to_owned(),
+            payload: to_json(&entry.record),
+            json: true,
+            lane: Lane::Record,
+        }
+    }
+}
+
+fn put(id: &JobId, value: Vec<u8>) -> Write {
+    Write::Put {
+        table: Table::Jobs,
+        key: id.to_string(),
+        value,
+    }
+}

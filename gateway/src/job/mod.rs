@@ -1,0 +1,275 @@
+//! One job: its record as clients see it, where its commands are, and which changes are legal.
+//!
+//! ```text
+//!            ┌──────────────── lost ◀────────────┐
+//!            ▼ node is back      ▲ node is gone  │
+//!   queued ─▶ sent ─────────▶ running ───────────┤
+//!     │         │                │               ▼
+//!     └─────────┴────────────────┴──▶ succeeded · failed · canceled · timed_out
+//!   (refused) ─▶ rejected
+//! ```
+//!
+//! Promises: every change of a record goes through [`Job::change`], which asserts the table
+//! [`is_legal`], counts the version up by one and stamps the time. A final record never changes.
+//!
+//! # Why nothing is journaled per batch
+//! The queue's commands are numbered, a node says how many it has, and the commands of a job are
+//! cut from the stored request in the same order each time. So what must be durable before
+//! anything is published is the job itself and its [`Activation`]: which queue, and the number of
+//! its first command there. After a restart the place to go on is `accepted_commands - base`.
+
+pub mod book;
+pub mod parse;
+
+use keys::{
+    Command, FleetMicros, JobId, NodeId, QueueId,
+    record::{JobError, JobRecord, JobResult, JobState, Progress},
+};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Where a job's commands are on its node. Durable before the first of them is published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Activation {
+    /// The life of the node's queue that has them.
+    pub queue: QueueId,
+    /// The number of the job's first command in that queue.
+    pub base: u64,
+    /// When the first batch was due to leave.
+    pub at: FleetMicros,
+}
+
+/// How a job must end although its commands are not all done.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Ending {
+    /// A client canceled it.
+    Cancel,
+    /// It took too long.
+    Timeout,
+    /// Something is wrong with it.
+    Fail(JobError),
+}
+
+/// What is stored of a job beside the request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JobEntry {
+    /// The record as clients see it.
+    pub record: JobRecord,
+    /// Grows with each job that is accepted or rejected: the order of history.
+    pub sequence: u64,
+    /// Where its commands are, from `sent` on.
+    pub activation: Option<Activation>,
+    /// How it must end.
+    pub ending: Option<Ending>,
+    /// Longest time from activation to the last pulse, µs.
+    pub timeout_us: Option<u64>,
+}
+
+/// A job as the fleet keeps it.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// What is stored.
+    pub entry: JobEntry,
+    /// Its commands, empty when it is final.
+    pub commands: Arc<[Command]>,
+    /// When its progress was published last.
+    pub progress_told_at: FleetMicros,
+}
+
+/// Returns whether a job may go from one state to another. Staying is a change of progress.
+pub const fn is_legal(from: JobState, to: JobState) -> bool {
+    use JobState::{Canceled, Failed, Lost, Queued, Running, Sent, Succeeded, TimedOut};
+    match from {
+        Queued => matches!(to, Sent | Failed | Canceled),
+        Sent | Running | Lost if matches!(to, Succeeded | Failed | Canceled | TimedOut) => true,
+        Sent => matches!(to, Sent | Running | Lost),
+        Running => matches!(to, Running | Lost),
+        Lost => matches!(to, Sent | Running),
+        Succeeded | Failed | Canceled | TimedOut | JobState::Rejected => false,
+    }
+}
+
+impl Job {
+    /// Makes the job of a record that was just accepted, rejected or read from the store.
+    pub fn new(entry: JobEntry, commands: Arc<[Command]>) -> Self {
+        Self {
+            progress_told_at: entry.record.updated,
+            entry,
+            commands,
+        }
+    }
+
+    /// Returns its name.
+    pub fn id(&self) -> JobId {
+        self.entry.record.job
+    }
+
+    /// Returns its node, `None` for a refused one that names none.
+    pub fn node(&self) -> Option<NodeId> {
+        self.entry.record.node
+    }
+
+    /// Returns where it is.
+    pub fn state(&self) -> JobState {
+        self.entry.record.state
+    }
+
+    /// Returns the number after its last command in its node's queue.
+    pub fn end(&self) -> Option<u64> {
+        let activation = self.entry.activation?;
+        Some(activation.base + self.entry.record.progress.total)
+    }
+
+    /// Returns when it must be stopped, if it has a limit and runs.
+    pub fn deadline(&self) -> Option<FleetMicros> {
+        let limited = self.entry.ending.is_none() && !self.state().is_final();
+        let activation = self.entry.activation.filter(|_| limited)?;
+        Some(activation.at.plus_us(self.entry.timeout_us?))
+    }
+
+    /// Returns how many of its commands are done when the queue has executed so many.
+    pub fn done_of(&self, executed_commands: u64) -> u64 {
+        let base = self
+            .entry
+            .activation
+            .map_or(0, |activation| activation.base);
+        executed_commands
+            .saturating_sub(base)
+            .min(self.entry.record.progress.total)
+    }
+
+    /// Changes the record: the only way to do so.
+    ///
+    /// # Panics
+    /// The change is not legal: a bug of the caller.
+    pub fn change(&mut self, change: Change, now: FleetMicros) {
+        let record = &mut self.entry.record;
+        assert!(
+            is_legal(record.state, change.state),
+            "job {}: {} may not become {}",
+            record.job,
+            record.state,
+            change.state
+        );
+        record.state = change.state;
+        record.version += 1;
+        record.updated = FleetMicros(now.0.max(record.updated.0));
+        if let Some(done) = change.done {
+            // A node's older word must not take back what was reported.
+            record.progress.done = record.progress.done.max(done);
+        }
+        if change.state.is_final() {
+            record.error = change.error;
+            record.result = change.result;
+            self.commands = Arc::new([]);
+            self.entry.ending = None;
+        }
+    }
+}
+
+/// One change of a record.
+#[derive(Clone, Debug)]
+pub struct Change {
+    /// Where the job is now.
+    pub state: JobState,
+    /// How many commands are done, if that is news.
+    pub done: Option<u64>,
+    /// Why it ended early; kept for final states only.
+    pub error: Option<JobError>,
+    /// What it left behind; kept for final states only.
+    pub result: Option<JobResult>,
+}
+
+impl Change {
+    /// Changes the state alone.
+    pub const fn to(state: JobState) -> Self {
+        Self {
+            state,
+            done: None,
+            error: None,
+            result: None,
+        }
+    }
+
+    /// Tells also how many commands are done.
+    #[must_use]
+    pub const fn done(mut self, done: u64) -> Self {
+        self.done = Some(done);
+        self
+    }
+
+    /// Tells also why.
+    #[must_use]
+    pub fn error(mut self, error: JobError) -> Self {
+        self.error = Some(error);
+        self
+    }
+
+    /// Tells also where the axes are.
+    #[must_use]
+    pub fn position(mut self, position: impl IntoIterator<Item = i64>) -> Self {
+        self.result = Some(JobResult {
+            position: position.into_iter().collect(),
+            returned: None,
+        });
+        self
+    }
+}
+
+/// Makes a record of version 1.
+pub(crate) fn new_record(
+    job: JobId,
+    node: Option<NodeId>,
+    state: JobState,
+    total: u64,
+    now: FleetMicros,
+) -> JobRecord {
+    JobRecord {
+        job,
+        node,
+        group: None,
+        state,
+        version: 1,
+        created: now,
+        updated: now,
+        progress: Progress { done: 0, total },
+        error: None,
+        result: None,
+        parts: None,
+        start: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_final_state_is_the_last_one_and_every_other_leads_to_one() {
+        for from in JobState::ALL {
+            let ways_out = JobState::ALL
+                .into_iter()
+                .filter(|to| is_legal(from, *to))
+                .count();
+            assert_eq!(ways_out == 0, from.is_final(), "{from}");
+            assert_eq!(is_legal(from, JobState::Failed), !from.is_final(), "{from}");
+            assert!(!is_legal(from, JobState::Queued), "{from}");
+            assert!(!is_legal(from, JobState::Rejected), "{from}");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "succeeded may not become running")]
+    fn an_illegal_change_is_a_bug() {
+        let id = JobId::new("a").expect("legal");
+        let record = new_record(id, None, JobState::Succeeded, 1, FleetMicros(1));
+        let entry = JobEntry {
+            record,
+            sequence: 1,
+            activation: None,
+            ending: None,
+            timeout_us: None,
+        };
+        Job::new(entry, Arc::new([])).change(Change::to(JobState::Running), FleetMicros(2));
+    }
+}

@@ -1,0 +1,220 @@
+//! Job text → [`JobRequest`]. Owns the meaning of a payload's encoding; what a job must look like
+//! is said in [`keys::job`].
+//!
+//! Promises: nothing is guessed. An encoding that is not in the contract is refused, however much
+//! the payload may look like a job. Absent on purpose: anything that needs to know a node.
+
+use keys::{
+    JobId,
+    job::{JOB_BYTES_MAX, JobRequest, Offline, Work},
+    record::{ErrorCode, JobError},
+};
+
+/// What a payload turned out to be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parsed {
+    /// The job, or why it is none.
+    pub request: Result<JobRequest, JobError>,
+    /// The id that it gives, also when the rest of it is wrong.
+    pub id_hint: Option<JobId>,
+}
+
+/// Reads a job. `encoding` is zenoh's text form of the payload's encoding: `application/json`,
+/// `text/x-lua`, `application/octet-stream;postcard`, or `zenoh/bytes` when none was given.
+pub fn parse(encoding: &str, payload: &[u8]) -> Parsed {
+    if payload.len() > JOB_BYTES_MAX {
+        let message = format!("{} bytes; a job has at most {JOB_BYTES_MAX}", payload.len());
+        return Parsed::refused(ErrorCode::TooLarge, message);
+    }
+    match Form::from_encoding(encoding, payload) {
+        Ok(Form::Json) => {
+            let request = JobRequest::from_json(payload);
+            let id_hint = match &request {
+                Ok(request) => request.id,
+                Err(_) => JobRequest::id_of_json(payload),
+            };
+            Parsed { request, id_hint }
+        }
+        Ok(Form::Postcard) => {
+            let request = JobRequest::from_postcard(payload);
+            let id_hint = match &request {
+                Ok(request) => request.id,
+                Err(_) => keys::version::decode::<JobRequest>(payload)
+                    .ok()
+                    .and_then(|request| request.id),
+            };
+            Parsed { request, id_hint }
+        }
+        Ok(Form::Lua) => match std::str::from_utf8(payload) {
+            Ok(script) => Parsed {
+                request: Ok(JobRequest {
+                    id: None,
+                    work: Work::Lua(script.to_owned()),
+                    offline: Offline::default(),
+                    timeout_s: None,
+                }),
+                id_hint: None,
+            },
+            Err(error) => Parsed::refused(
+                ErrorCode::BadJson,
+                format!("the script is not UTF-8 at byte {}", error.valid_up_to()),
+            ),
+        },
+        Err(error) => Parsed {
+            request: Err(error),
+            id_hint: None,
+        },
+    }
+}
+
+impl Parsed {
+    fn refused(code: ErrorCode, message: String) -> Self {
+        Self {
+            request: Err(JobError::new(code, message)),
+            id_hint: None,
+        }
+    }
+}
+
+/// The three ways to write a job.
+enum Form {
+    Json,
+    Lua,
+    Postcard,
+}
+
+/// zenoh's name for "no encoding was given".
+const NO_ENCODING: &str = "zenoh/bytes";
+
+impl Form {
+    fn from_encoding(encoding: &str, payload: &[u8]) -> Result<Self, JobError> {
+        // Clients that have no number for an encoding put its name into the schema.
+        let named = encoding
+            .strip_prefix(NO_ENCODING)
+            .and_then(|rest| rest.strip_prefix(';'))
+            .unwrap_or(encoding);
+        let (name, schema) = named.split_once(';').unwrap_or((named, ""));
+        match (name.trim(), schema.trim()) {
+            ("application/json" | "text/json", _) => Ok(Self::Json),
+            ("text/x-lua", _) => Ok(Self::Lua),
+            ("application/octet-stream", "postcard") => Ok(Self::Postcard),
+            ("application/octet-stream", _) => Err(JobError::new(
+                ErrorCode::BadJson,
+                "encoding application/octet-stream needs the schema `postcard`",
+            )),
+            ("" | NO_ENCODING, "") => {
+                let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
+                match first {
+                    Some(b'{') => Ok(Self::Json),
+                    Some(_) => Err(JobError::new(
+                        ErrorCode::BadJson,
+                        "a job without an encoding must be a JSON object, beginning with `{`",
+                    )),
+                    None => Err(JobError::new(ErrorCode::BadJson, "the job is empty")),
+                }
+            }
+            _ => Err(JobError::new(
+                ErrorCode::BadJson,
+                format!(
+                    "encoding `{encoding}` is not known; a job is application/json, text/x-lua \
+                     or application/octet-stream;postcard"
+                ),
+            )),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const JOB: &[u8] = br#" {"id":"a-1","commands":[{"pause":{"ms":5}}]}"#;
+
+    fn code(encoding: &str, payload: &[u8]) -> Option<ErrorCode> {
+        parse(encoding, payload)
+            .request
+            .err()
+            .map(|error| error.code)
+    }
+
+    #[test]
+    fn every_encoding_of_the_contract_is_read() {
+        let id = JobId::new("a-1").ok();
+        for encoding in [
+            "application/json",
+            "application/json;utf-8",
+            "zenoh/bytes",
+            "",
+        ] {
+            let parsed = parse(encoding, JOB);
+            assert_eq!(parsed.id_hint, id, "{encoding}");
+            assert!(parsed.request.is_ok(), "{encoding}");
+        }
+        let request = parse("application/json", JOB).request.expect("read above");
+        let mut bytes = vec![keys::version::CURRENT];
+        bytes.extend(postcard::to_allocvec(&request).expect("encodes"));
+        for encoding in [
+            "application/octet-stream;postcard",
+            "zenoh/bytes;application/octet-stream;postcard",
+        ] {
+            let parsed = parse(encoding, &bytes);
+            assert_eq!(parsed.id_hint, id);
+            assert_eq!(parsed.request.as_ref(), Ok(&request));
+        }
+        for encoding in ["text/x-lua", "zenoh/bytes;text/x-lua"] {
+            let parsed = parse(encoding, b"motor.execute()");
+            assert_eq!(
+                parsed.request.expect("a script").work,
+                Work::Lua("motor.execute()".into())
+            );
+        }
+    }
+
+    #[test]
+    fn what_the_contract_does_not_know_is_refused() {
+        assert_eq!(
+            code("zenoh/bytes", b"motor.execute()"),
+            Some(ErrorCode::BadJson)
+        );
+        assert_eq!(code("zenoh/bytes", b"  "), Some(ErrorCode::BadJson));
+        assert_eq!(code("zenoh/bytes", b"[]"), Some(ErrorCode::BadJson));
+        assert_eq!(code("image/png", JOB), Some(ErrorCode::BadJson));
+        assert_eq!(code("zenoh/bytes;image/png", JOB), Some(ErrorCode::BadJson));
+        assert_eq!(
+            code("zenoh/bytes;zenoh/bytes;image/png", JOB),
+            Some(ErrorCode::BadJson)
+        );
+        assert_eq!(
+            code("application/octet-stream", JOB),
+            Some(ErrorCode::BadJson)
+        );
+        assert_eq!(code("text/x-lua", b"\xff"), Some(ErrorCode::BadJson));
+        assert_eq!(
+            code("application/octet-stream;postcard", JOB),
+            Some(ErrorCode::BadJson)
+        );
+        assert_eq!(
+            code("application/json", &vec![b' '; JOB_BYTES_MAX + 1]),
+            Some(ErrorCode::TooLarge)
+        );
+    }
+
+    #[test]
+    fn the_id_of_a_wrong_job_is_found() {
+        let parsed = parse(
+            "application/json",
+            br#"{"id":"a-1","commands":[{"jump":{}}]}"#,
+        );
+        assert_eq!(parsed.id_hint, JobId::new("a-1").ok());
+        assert_eq!(
+            parsed.request.map_err(|error| error.code),
+            Err(ErrorCode::BadCommand)
+        );
+        let parsed = parse("application/json", br#"{"id":"A 1","commands":[]}"#);
+        assert_eq!(parsed.id_hint, None);
+        assert_eq!(
+            parsed.request.map_err(|error| error.code),
+            Err(ErrorCode::BadId)
+        );
+    }
+}

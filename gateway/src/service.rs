@@ -1,0 +1,476 @@
+//! The gateway as a running service: the one place where things wait.
+//!
+//! ```text
+//!  Inbox ─ jobs ──▶ reader ──▶ forwarder ─┐                     ┌─ RealTime ─▶ network, at once
+//!        ─ events ───────────────────────▶├─▶ fleet task ───────┤
+//!        ─ urgent ───────────────────────▶┘  (owns Fleet)       └─▶ writer thread (owns Journal):
+//!                                                                   commit, then publish and reply
+//! ```
+//!
+//! - Jobs are read on blocking threads, [`READERS_MAX`] at a time, and go on in the order in which
+//!   they came; a large one holds up those behind it, and nothing else.
+//! - The writer takes what has gathered, up to [`BATCHES_PER_COMMIT_MAX`] handled events, commits all
+//!   their writes in one transaction, and only then lets anything out, in order.
+//! - If the store fails nothing more is taken, every get is answered `internal`, and
+//!   [`Service::failed`] tells.
+//! - Full: the fleet task waits for the writer, the inbox fills and answers for itself
+//!   (see [`crate::bus`]).
+
+use crate::{
+    bus::{
+        Arrived, Inbox, Outlets, PostedJob, WallClock, store_failed, submit_event,
+        zenoh::{Bus, BusError},
+    },
+    config::GatewayConfig,
+    fleet::{
+        Fleet, FleetConfig, RestoreError,
+        event::{Effect, Event, Lane, ReplyTo},
+    },
+    job::parse::parse,
+    journal::{Journal, JournalError},
+};
+use keys::{
+    FleetMicros,
+    record::{ErrorCode, JobError},
+};
+use std::{
+    hash::{BuildHasher, RandomState},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+use thiserror::Error;
+use tokio::{
+    sync::{mpsc, watch},
+    task::JoinHandle,
+};
+
+/// Jobs that are read at the same time. One core is enough for 100,000 commands a second.
+pub const READERS_MAX: usize = 2;
+
+/// Payloads up to this size are read without changing the thread, bytes: a few hundred commands,
+/// some tens of microseconds.
+pub const READ_INLINE_BYTES_MAX: usize = 16 * 1_024;
+
+/// Handled events whose effects wait for the writer.
+pub const EFFECT_BATCHES_MAX: usize = 256;
+
+/// Handled events whose writes are committed together.
+pub const BATCHES_PER_COMMIT_MAX: usize = 100;
+
+/// Why the service cannot start or go on.
+#[derive(Debug, Error)]
+pub enum ServiceError {
+    /// The store cannot be opened or written.
+    #[error("store: {0}")]
+    Store(#[from] JournalError),
+    /// What the store holds cannot be taken up.
+    #[error("store: {0}")]
+    Restore(#[from] RestoreError),
+    /// The network is not there.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// A part of the service panicked.
+    #[error("the service's {0} ended by a panic")]
+    Panicked(&'static str),
+    /// The system gives no thread.
+    #[error("no thread for the writer: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A running gateway. Dropped without [`Service::shutdown`] it loses what is not yet written.
+#[derive(Debug)]
+pub struct Service {
+    bus: Arc<Bus>,
+    stop_jobs: watch::Sender<bool>,
+    stop_fleet: watch::Sender<bool>,
+    failed: watch::Receiver<bool>,
+    reader: JoinHandle<()>,
+    forwarder: JoinHandle<()>,
+    fleet: JoinHandle<()>,
+    writer: std::thread::JoinHandle<Result<(), JournalError>>,
+}
+
+/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once with the
+/// locators, see [`Service::locators`].
+///
+/// # Errors
+/// See [`ServiceError`].
+///
+/// # Cancellation safety
+/// None: cancel by `shutdown`.
+pub async fn run(
+    config: GatewayConfig,
+    ready: impl FnOnce(&[String]),
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ServiceError> {
+    let service = Service::start(config).await?;
+    ready(service.locators());
+    tokio::select! {
+        () = shutdown => {}
+        () = service.failed() => {}
+    }
+    service.shutdown().await
+}
+
+impl Service {
+    /// Opens the store, takes up what it holds, opens the network and begins to accept.
+    ///
+    /// # Errors
+    /// See [`ServiceError`].
+    pub async fn start(config: GatewayConfig) -> Result<Self, ServiceError> {
+        // Before anything is written: an address that cannot be meant.
+        for locator in config.listen.iter().chain(&config.connect) {
+            crate::bus::zenoh::host_and_port(locator)?;
+        }
+        let clock = WallClock::start();
+        let store = config.store.clone();
+        let (journal, stored) = tokio::task::spawn_blocking(move || Journal::open(&store))
+            .await
+            .map_err(|_| ServiceError::Panicked("journal"))??;
+        let mut effects = Vec::new();
+        let fleet_config = FleetConfig::new(config.keys.clone());
+        // Any number: it only makes the names of jobs of two runs differ.
+        let seed = RandomState::new().hash_one(clock.now().0);
+        let fleet = Fleet::restore(fleet_config, seed, stored, clock.now(), &mut effects)?;
+        let bus = Arc::new(Bus::open(&config).await?);
+
+        let (inbox, outlets) = Inbox::new();
+        let (batches, batches_outlet) = mpsc::channel(EFFECT_BATCHES_MAX);
+        let (failed_sender, failed) = watch::channel(false);
+        let (stop_jobs, jobs_stopping) = watch::channel(false);
+        let (stop_fleet, fleet_stopping) = watch::channel(false);
+        let store_failed = Arc::new(AtomicBool::new(false));
+        let Outlets {
+            urgent,
+            events,
+            events_sender,
+            jobs,
+        } = outlets;
+
+        let writer = Writer {
+            journal,
+            bus: Arc::clone(&bus),
+            batches: batches_outlet,
+            store_failed: Arc::clone(&store_failed),
+            failed: failed_sender,
+        };
+        let writer = std::thread::Builder::new()
+            .name("gateway-writer".to_owned())
+            .spawn(move || writer.run())
+            .map_err(ServiceError::Thread)?;
+        let task = FleetTask {
+            fleet,
+            clock,
+            bus: Arc::clone(&bus),
+            batches,
+            store_failed,
+        };
+        task.carry_out(effects).await;
+        let fleet = tokio::spawn(task.run(urgent, events, fleet_stopping));
+        let (reading, read) = mpsc::channel(READERS_MAX);
+        let reader = tokio::spawn(read_jobs(jobs, reading, jobs_stopping));
+        let forwarder = tokio::spawn(forward_jobs(read, events_sender, Arc::clone(&bus)));
+
+        let service = Self {
+            bus,
+            stop_jobs,
+            stop_fleet,
+            failed,
+            reader,
+            forwarder,
+            fleet,
+            writer,
+        };
+        if let Err(error) = service.bus.declare(&inbox, clock).await {
+            // The first error is the one to tell.
+            let _ = service.shutdown().await;
+            return Err(error.into());
+        }
+        tracing::info!(
+            listen = %service.locators().join(", "),
+            store = %config.store.display(),
+            prefix = config.keys.prefix(),
+            "the gateway is ready"
+        );
+        Ok(service)
+    }
+
+    /// Returns where clients and nodes connect: where the own router listens, with the ports that
+    /// the system chose for port 0, or the routers of the network that was joined.
+    pub fn locators(&self) -> &[String] {
+        self.bus.locators()
+    }
+
+    /// Resolves when the store has failed; [`Service::shutdown`] then gives the reason.
+    ///
+    /// # Cancellation safety
+    /// May be dropped and called again.
+    pub async fn failed(&self) {
+        let mut failed = self.failed.clone();
+        // A writer that is gone has failed too.
+        let _ = failed.wait_for(|failed| *failed).await;
+    }
+
+    /// Takes nothing more, carries out what was taken, and closes the network.
+    ///
+    /// # Errors
+    /// What made the store fail.
+    pub async fn shutdown(self) -> Result<(), ServiceError> {
+        self.bus.undeclare();
+        self.stop_jobs.send_replace(true);
+        let reader = self.reader.await;
+        let forwarder = self.forwarder.await;
+        self.stop_fleet.send_replace(true);
+        let fleet = self.fleet.await;
+        let writer = tokio::task::spawn_blocking(|| self.writer.join()).await;
+        self.bus.close().await;
+        match writer {
+            Ok(Ok(result)) => result?,
+            _ => return Err(ServiceError::Panicked("writer")),
+        }
+        for (result, name) in [
+            (reader, "reader"),
+            (forwarder, "reader"),
+            (fleet, "fleet task"),
+        ] {
+            result.map_err(|_| ServiceError::Panicked(name))?;
+        }
+        Ok(())
+    }
+}
+
+/// A job that is being read, and who waits for its receipt.
+struct BeingRead {
+    event: JoinHandle<Event>,
+    reply: Option<ReplyTo>,
+}
+
+/// Reads jobs, several at a time, and passes them on in order of their coming.
+async fn read_jobs(
+    mut jobs: mpsc::Receiver<PostedJob>,
+    reading: mpsc::Sender<BeingRead>,
+    mut stopping: watch::Receiver<bool>,
+) {
+    loop {
+        let job = tokio::select! {
+            biased;
+            job = jobs.recv() => job,
+            _ = stopping.wait_for(|stop| *stop) => None,
+        };
+        let Some(job) = job else { return };
+        // The place in the order first: it bounds how many are read at a time.
+        let Ok(place) = reading.reserve().await else {
+            return;
+        };
+        let reply = job.reply;
+        let event = if job.payload.len() <= READ_INLINE_BYTES_MAX {
+            tokio::spawn(async move { read_job(job) })
+        } else {
+            tokio::task::spawn_blocking(move || read_job(job))
+        };
+        place.send(BeingRead { event, reply });
+    }
+}
+
+fn read_job(job: PostedJob) -> Event {
+    let parsed = parse(&job.encoding, &job.payload.to_bytes());
+    submit_event(job.to, parsed.request, parsed.id_hint, job.reply)
+}
+
+/// Waits for each job in turn and for room in the fleet's queue.
+async fn forward_jobs(
+    mut read: mpsc::Receiver<BeingRead>,
+    events: mpsc::Sender<Arrived>,
+    bus: Arc<Bus>,
+) {
+    while let Some(job) = read.recv().await {
+        match job.event.await {
+            Ok(event) => {
+                if events.send(event.into()).await.is_err() {
+                    return;
+                }
+            }
+            Err(error) => {
+                tracing::error!("a job was not taken, reading it panicked: {error}");
+                if let Some(reply) = job.reply {
+                    let message = "the gateway failed in reading this job";
+                    bus.refuse(reply, JobError::new(ErrorCode::Internal, message));
+                }
+            }
+        }
+    }
+}
+
+/// The effects of one handled event that go through the writer.
+type EffectBatch = Vec<Effect>;
+
+struct FleetTask {
+    fleet: Fleet,
+    clock: WallClock,
+    bus: Arc<Bus>,
+    batches: mpsc::Sender<EffectBatch>,
+    store_failed: Arc<AtomicBool>,
+}
+
+impl FleetTask {
+    async fn run(
+        mut self,
+        mut urgent: mpsc::Receiver<Event>,
+        mut events: mpsc::Receiver<Arrived>,
+        mut stopping: watch::Receiver<bool>,
+    ) {
+        loop {
+            // First, so that a flood of events cannot keep time from passing.
+            let due_in = self.due_in();
+            if due_in == Some(Duration::ZERO) {
+                self.handle(Event::Tick.into()).await;
+                tokio::task::consume_budget().await;
+            }
+            let due = async {
+                match self.due_in() {
+                    Some(due_in) => tokio::time::sleep(due_in).await,
+                    None => std::future::pending().await,
+                }
+            };
+            let (arrived, may_wait) = tokio::select! {
+                biased;
+                Some(event) = urgent.recv() => (event.into(), false),
+                Some(arrived) = events.recv() => (arrived, true),
+                _ = stopping.wait_for(|stop| *stop) => return,
+                () = due => (Event::Tick.into(), true),
+            };
+            if may_wait {
+                // A stop may have come between the two looks, and before this event: the release
+                // behind it must not overtake it.
+                while let Ok(event) = urgent.try_recv() {
+                    self.handle(event.into()).await;
+                }
+            }
+            self.handle(arrived).await;
+        }
+    }
+
+    /// Returns how long nothing has to be done; zero: something is due.
+    fn due_in(&self) -> Option<Duration> {
+        let due = self.fleet.poll_timeout()?;
+        Some(Duration::from_micros(due.since_us(self.clock.now())))
+    }
+
+    async fn handle(&mut self, arrived: Arrived) {
+        if self.store_failed.load(Ordering::Acquire) {
+            if let Some(reply) = reply_of(&arrived.event) {
+                self.bus.refuse(reply, store_failed());
+            }
+            return;
+        }
+        let now: FleetMicros = arrived.at.unwrap_or_else(|| self.clock.now());
+        let mut effects = Vec::new();
+        self.fleet.handle(arrived.event, now, &mut effects);
+        self.carry_out(effects).await;
+    }
+
+    /// Sends what overtakes everything and hands the rest to the writer.
+    async fn carry_out(&self, mut effects: Vec<Effect>) {
+        effects.retain_mut(|effect| match effect {
+            Effect::Publish {
+                key,
+                payload,
+                json,
+                lane: lane @ Lane::RealTime,
+            } => {
+                let payload = std::mem::take(payload);
+                self.bus.publish(key, payload, *json, *lane);
+                false
+            }
+            _ => true,
+        });
+        if !effects.is_empty() && self.batches.send(effects).await.is_err() {
+            tracing::error!("the writer is gone");
+        }
+    }
+}
+
+/// Returns who waits for an answer to this.
+fn reply_of(event: &Event) -> Option<ReplyTo> {
+    match event {
+        Event::Submit { reply, .. }
+        | Event::SubmitGroup { reply, .. }
+        | Event::Cancel { reply, .. }
+        | Event::Release { reply, .. } => *reply,
+        Event::GetJobs { reply, .. } | Event::GetNodes { reply, .. } => Some(*reply),
+        Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,
+    }
+}
+
+struct Writer {
+    journal: Journal,
+    bus: Arc<Bus>,
+    batches: mpsc::Receiver<EffectBatch>,
+    store_failed: Arc<AtomicBool>,
+    failed: watch::Sender<bool>,
+}
+
+impl Writer {
+    /// Works until all who give effects are gone.
+    fn run(mut self) -> Result<(), JournalError> {
+        let mut first_error = None;
+        let mut writes = Vec::new();
+        let mut others = Vec::new();
+        while let Some(mut batch) = self.batches.blocking_recv() {
+            let mut batch_count = 1;
+            loop {
+                for effect in batch {
+                    match effect {
+                        Effect::Persist(write) => writes.push(write),
+                        other => others.push(other),
+                    }
+                }
+                if batch_count == BATCHES_PER_COMMIT_MAX {
+                    break;
+                }
+                match self.batches.try_recv() {
+                    Ok(next) => batch = next,
+                    Err(_) => break,
+                }
+                batch_count += 1;
+            }
+            if first_error.is_none()
+                && !writes.is_empty()
+                && let Err(error) = self.journal.commit(&writes)
+            {
+                tracing::error!("the store failed: {error}");
+                self.store_failed.store(true, Ordering::Release);
+                self.failed.send_replace(true);
+                first_error = Some(error);
+            }
+            writes.clear();
+            for effect in others.drain(..) {
+                self.carry_out(effect, first_error.is_some());
+            }
+        }
+        first_error.map_or(Ok(()), Err)
+    }
+
+    /// Lets one effect out. After a failure of the store: none, and each get gets the refusal.
+    fn carry_out(&self, effect: Effect, failed: bool) {
+        match effect {
+            Effect::Persist(_) => unreachable!("writes are set apart before"),
+            Effect::Publish {
+                key,
+                payload,
+                json,
+                lane,
+            } => {
+                if !failed {
+                    self.bus.publish(&key, payload, json, lane);
+                }
+            }
+            Effect::Reply { to, .. } if failed => self.bus.refuse(to, store_failed()),
+            Effect::Reply { to, key, payload } => self.bus.reply(to, key.as_deref(), payload),
+            Effect::ReplyEnd { to } => self.bus.end(to),
+        }
+    }
+}

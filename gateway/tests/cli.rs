@@ -1,0 +1,417 @@
+//! The program `fleet` as an operator or a script meets it.
+
+use assert_cmd::Command;
+use std::{
+    io::{BufRead, BufReader},
+    net::{Ipv4Addr, TcpListener},
+    process::{Child, Stdio},
+    time::Duration,
+};
+
+/// Far more than anything here takes; only a failure waits so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+struct Ran {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+fn fleet(line: &[&str]) -> Ran {
+    let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
+        .args(line)
+        .timeout(PATIENCE)
+        .output()
+        .expect("started");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+    Ran {
+        code: output.status.code(),
+        out: text(output.stdout),
+        err: text(output.stderr),
+    }
+}
+
+fn verbs() -> Vec<&'static str> {
+    let mut verbs = vec![
+        "serve", "nodes", "submit", "jobs", "watch", "cancel", "stop", "release",
+    ];
+    if cfg!(feature = "demo") {
+        verbs.push("demo");
+    }
+    verbs
+}
+
+/// A gateway in a process of its own, ended with the test.
+struct Gateway {
+    process: Child,
+    connect: String,
+    _store: tempfile::TempDir,
+}
+
+impl Gateway {
+    fn start() -> Self {
+        Self::run(std::process::Command::new(env!("CARGO_BIN_EXE_fleet")))
+    }
+
+    /// Runs it by a shell that lets no file grow beyond this.
+    #[cfg(unix)]
+    fn start_with_files_up_to(kib: u32) -> Self {
+        let mut shell = std::process::Command::new("bash");
+        // Ignored, the signal becomes an error of the write.
+        let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$0\" \"$@\"");
+        shell.args(["-c", &script, env!("CARGO_BIN_EXE_fleet")]);
+        Self::run(shell)
+    }
+
+    fn run(mut program: std::process::Command) -> Self {
+        let store = tempfile::tempdir().expect("a directory");
+        let mut process = program
+            .args(["serve", "--listen", "tcp/127.0.0.1:0", "--json", "--store"])
+            .arg(store.path().join("fleet.redb"))
+            .env("RUST_LOG", "error")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("started");
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().expect("piped"))
+            .read_line(&mut line)
+            .expect("a line");
+        let ready: serde_json::Value = serde_json::from_str(&line).expect("JSON");
+        let connect = ready["locators"][0].as_str().expect("text").to_owned();
+        Self {
+            process,
+            connect,
+            _store: store,
+        }
+    }
+
+    fn fleet(&self, line: &[&str]) -> Ran {
+        fleet(&[line, &["--connect", &self.connect]].concat())
+    }
+}
+
+impl Drop for Gateway {
+    fn drop(&mut self) {
+        // It may have ended by itself, and then the test has failed already.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn help_names_every_verb_and_every_verb_has_help_with_its_options() {
+    let ran = fleet(&["--help"]);
+    assert_eq!(ran.code, Some(0));
+    assert!(ran.out.contains("Exit codes"), "{}", ran.out);
+    for verb in verbs() {
+        assert!(ran.out.contains(verb), "{verb}");
+        let ran = fleet(&[verb, "--help"]);
+        assert_eq!(ran.code, Some(0), "{verb}");
+        assert!(ran.out.contains("--connect"), "{verb}");
+        if verb != "demo" {
+            assert!(ran.out.contains("Examples:"), "{verb}");
+        }
+    }
+    assert_eq!(fleet(&["--version"]).code, Some(0));
+}
+
+#[test]
+fn bad_options_end_with_2_and_name_what_is_wrong() {
+    let good_file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/jobs/stair.json");
+    for (line, named) in [
+        (&["fly"][..], "fly"),
+        (&["nodes", "--timeout", "0"], "--timeout"),
+        (&["nodes", "--prefix", "a//b"], "--prefix"),
+        (&["nodes", "--connect", "127.0.0.1:7447"], "--connect"),
+        (&["nodes", "--user", "u"], "--password-file"),
+        (&["jobs", "--state", "happy"], "--state"),
+        (&["jobs", "--limit", "0"], "--limit"),
+        (&["submit", good_file], "--node"),
+        (&["submit", good_file, "--node", "a/b"], "--node"),
+        (
+            &["submit", good_file, "--node", "left", "--id", "No"],
+            "--id",
+        ),
+        (&["stop", "Left"], "PATTERN"),
+        (&["cancel"], "JOB"),
+        (&["serve", "--listen", "7447"], "7447"),
+    ] {
+        let ran = fleet(line);
+        assert_eq!(ran.code, Some(2), "{line:?}: {}", ran.err);
+        assert!(ran.err.contains(named), "{line:?}: {}", ran.err);
+        assert!(ran.out.is_empty(), "{line:?}: {}", ran.out);
+    }
+}
+
+#[test]
+fn without_a_gateway_every_client_ends_with_3_and_says_so() {
+    // Free a moment ago, and nothing that speaks zenoh takes it meanwhile.
+    let port = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))
+        .and_then(|listener| listener.local_addr())
+        .expect("a free port")
+        .port();
+    let connect = format!("tcp/127.0.0.1:{port}");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/jobs/stair.json");
+    for line in [
+        &["nodes"][..],
+        &["jobs"],
+        &["watch"],
+        &["cancel", "part-1"],
+        &["stop"],
+        &["release"],
+        &["submit", file, "--node", "left"],
+    ] {
+        let ran = fleet(&[line, &["--connect", &connect, "--timeout", "5"]].concat());
+        assert_eq!(ran.code, Some(3), "{line:?}: {}", ran.err);
+        assert!(ran.err.contains(&connect), "{line:?}: {}", ran.err);
+        assert!(ran.err.contains("fleet serve"), "{line:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_gateway_of_another_prefix_is_none() {
+    let gateway = Gateway::start();
+    let ran = gateway.fleet(&["nodes", "--prefix", "plant-2", "--timeout", "5"]);
+    assert_eq!(ran.code, Some(3), "{}", ran.err);
+    assert!(ran.err.contains("no gateway answers"), "{}", ran.err);
+    assert!(ran.err.contains("plant-2"), "{}", ran.err);
+}
+
+#[test]
+fn a_gateway_without_nodes_answers_every_verb() {
+    let gateway = Gateway::start();
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/jobs/stair.json");
+    let ran = gateway.fleet(&["nodes"]);
+    assert_eq!(
+        (ran.code, ran.out.as_str()),
+        (Some(0), "no nodes: the gateway has not seen any yet\n")
+    );
+    let ran = gateway.fleet(&["nodes", "--json"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), ""));
+    let ran = gateway.fleet(&["jobs"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), "no such jobs\n"));
+    let ran = gateway.fleet(&["submit", file, "--node", "left"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("unknown_node"), "{}", ran.err);
+    let ran = gateway.fleet(&["submit", "/no/such/file.json", "--node", "left"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("/no/such/file.json"), "{}", ran.err);
+    let ran = gateway.fleet(&["cancel", "nothing"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("bad_id"), "{}", ran.err);
+    let ran = gateway.fleet(&["release", "left"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("unknown_node"), "{}", ran.err);
+    let ran = gateway.fleet(&["stop"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("no node"), "{}", ran.err);
+    let ran = gateway.fleet(&["watch", "--json", "--seconds", "0.1"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), ""), "{}", ran.err);
+}
+
+/// Makes the gateway see a node, so that it keeps jobs for it.
+#[cfg(unix)]
+fn show_node(connect: &str) -> zenoh::Session {
+    use keys::{LocalMicros, NodeState, QueueId, Status};
+    use zenoh::Wait;
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{connect}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).expect("a known setting");
+    }
+    let session = zenoh::open(config).wait().expect("connected");
+    let states = session
+        .declare_subscriber("fleet/node/left/state")
+        .wait()
+        .expect("subscribed");
+    let status = Status {
+        at: LocalMicros(1_000_000),
+        queue: QueueId { boot: 7, flush: 0 },
+        state: NodeState::Idle,
+        stop: None,
+        job: None,
+        accepted_commands: 0,
+        executed_commands: 0,
+        credit_commands: 4_096,
+        axes: [keys::AxisStatus::default(); 2].into_iter().collect(),
+        faults: Default::default(),
+        features: keys::Features::BASIC,
+        firmware: [0, 1, 0],
+        rssi_dbm: None,
+        laser_percent: 0,
+        lidar_mm: None,
+    };
+    let mut buffer = [0; keys::status::STATUS_BYTES_MAX];
+    let bytes = keys::version::encode(&status, &mut buffer).expect("room");
+    session
+        .put("fleet/node/left/status", bytes)
+        .wait()
+        .expect("put");
+    states
+        .recv_timeout(PATIENCE)
+        .expect("open")
+        .expect("a node record in time");
+    session
+}
+
+#[cfg(unix)]
+#[test]
+fn a_gateway_whose_store_is_full_takes_nothing_more_and_ends_with_an_error() {
+    let mut gateway = Gateway::start_with_files_up_to(4 * 1_024);
+    let _node = show_node(&gateway.connect);
+    // Each is some hundred KiB in the store.
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/jobs/ripples.json");
+    let refused = (0..100)
+        .map(|_| gateway.fleet(&["submit", file, "--node", "left"]))
+        .find(|ran| ran.code != Some(0))
+        .expect("100 of them cannot fit");
+    // Refused, or the gateway is already gone.
+    match refused.code {
+        Some(1) => assert!(refused.err.contains("internal"), "{}", refused.err),
+        code => assert_eq!(code, Some(3), "{}", refused.err),
+    }
+    let status = gateway.process.wait().expect("ended");
+    assert_eq!(status.code(), Some(1));
+    let mut log = String::new();
+    let mut stderr = gateway.process.stderr.take().expect("piped");
+    std::io::Read::read_to_string(&mut stderr, &mut log).expect("UTF-8");
+    assert!(log.contains("fleet: store"), "{log}");
+}
+
+#[cfg(feature = "demo")]
+fn json_lines(ran: &Ran) -> Vec<serde_json::Value> {
+    let lines = ran.out.lines();
+    lines
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
+}
+
+#[cfg(feature = "demo")]
+#[test]
+fn an_operator_plays_stops_releases_and_cancels_on_emulated_nodes() {
+    let gateway = Gateway::start();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let _inside = runtime.enter();
+    let nodes = ["left", "right"].map(|name| {
+        let name = keys::NodeId::new(name).expect("legal");
+        let config = emulator::EmulatorConfig {
+            connect: gateway.connect.clone(),
+            ..emulator::EmulatorConfig::new(name)
+        };
+        emulator::spawn(config).expect("spawned")
+    });
+    let began = std::time::Instant::now();
+    loop {
+        let known = json_lines(&gateway.fleet(&["nodes", "--json"]));
+        if known.iter().filter(|node| node["alive"] == true).count() == 2 {
+            break;
+        }
+        assert!(began.elapsed() < PATIENCE, "{known:?}");
+    }
+
+    let files = tempfile::tempdir().expect("a directory");
+    let file = |name: &str, text: &str| {
+        let path = files.path().join(name);
+        std::fs::write(&path, text).expect("written");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let short = file(
+        "short.json",
+        r#"{"commands":[{"move":{"axis":0,"delay_us":100,"steps":500}}]}"#,
+    );
+    let long = file(
+        "long.json",
+        r#"{"commands":[{"move":{"axis":0,"delay_us":1000,"steps":1000000}}]}"#,
+    );
+
+    let ran = gateway.fleet(&["submit", &short, "--node", "*", "--wait", "--json"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let records = json_lines(&ran);
+    assert_eq!(records.len(), 2);
+    for record in &records {
+        assert_eq!(record["state"], "succeeded", "{record}");
+        assert_eq!(record["result"]["position"][0], 500, "{record}");
+    }
+
+    let ran = gateway.fleet(&[
+        "submit",
+        &long,
+        "--node",
+        "left",
+        "--id",
+        "l1",
+        "--wait=0.2",
+    ]);
+    assert_eq!(ran.code, Some(4), "{}", ran.err);
+    assert!(ran.err.contains("l1"), "{}", ran.err);
+    let ran = gateway.fleet(&["cancel", "l1"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let ran = gateway.fleet(&["submit", &long, "--node", "left", "--id", "l1", "--wait"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    assert!(ran.out.starts_with("l1 canceled"), "{}", ran.out);
+
+    let ran = gateway.fleet(&["submit", &long, "--node", "*", "--id", "l2"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert_eq!(ran.out, "l2-left queued\nl2-right queued\n");
+    let ran = gateway.fleet(&["stop", "--json"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let confirmed = json_lines(&ran);
+    assert_eq!(confirmed.len(), 2);
+    assert!(
+        confirmed.iter().all(|node| node["stopped"] == true),
+        "{}",
+        ran.out
+    );
+    // Nothing runs any more, and what was under way says why.
+    let ran = gateway.fleet(&["submit", &long, "--node", "*", "--id", "l2", "--wait"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let ran = gateway.fleet(&["jobs", "--state", "failed", "--json"]);
+    let failed = json_lines(&ran);
+    assert_eq!(failed.len(), 2, "{}", ran.out);
+    assert!(
+        failed.iter().all(|job| job["error"]["code"] == "stopped"),
+        "{}",
+        ran.out
+    );
+    let ran = gateway.fleet(&["submit", &short, "--node", "left"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("stopped"), "{}", ran.err);
+
+    let ran = gateway.fleet(&["release", "left"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(
+        ran.out.contains("released") && !ran.out.contains("right"),
+        "{}",
+        ran.out
+    );
+    let ran = gateway.fleet(&["submit", &short, "--node", "left", "--wait"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let ran = gateway.fleet(&["nodes"]);
+    assert!(ran.out.contains("stopped (client)"), "{}", ran.out);
+    for node in nodes {
+        let _lives = runtime.block_on(node.shutdown());
+    }
+}
+
+#[cfg(feature = "demo")]
+#[test]
+fn the_demo_plays_three_jobs_and_accounts_for_every_pulse() {
+    let ran = fleet(&["demo", "--json"]);
+    assert_eq!(ran.code, Some(0), "{}\n{}", ran.out, ran.err);
+    let lines: Vec<serde_json::Value> = ran
+        .out
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect();
+    assert_eq!(lines.len(), 3);
+    for line in lines {
+        assert_eq!(line["good"], true, "{line}");
+        assert_eq!(line["state"], "succeeded", "{line}");
+        assert_eq!(line["counted"], line["expected"], "{line}");
+        assert_eq!(line["reported"], line["expected"], "{line}");
+    }
+}

@@ -1,0 +1,436 @@
+//! A node as the gateway sees one, without motors: it takes numbered commands, lets each take its
+//! time, stops, cancels, releases and reports. Written from the messages' documentation, not from
+//! the firmware.
+
+use keys::{
+    AxisStatus, BatchAck, BatchReader, Command, Features, JobId, LocalMicros, NodeId, NodeState,
+    NodeTopic, Order, QueueId, Refusal, Status, Stop, StopMode, StopReason, StopReport, Verdict,
+    clock::{ClockMessage, ClockReply},
+};
+use std::collections::HashMap;
+
+/// How long a deceleration takes, µs.
+const DECELERATE_US: u64 = 20_000;
+
+#[derive(Clone, Debug)]
+pub struct FakeNode {
+    pub id: NodeId,
+    pub link_up: bool,
+    pub features: Features,
+    pub axis_count: usize,
+    pub ring_commands: usize,
+    /// Refuses a command with this many steps, as a firmware with other limits would.
+    pub refuses_steps: Option<i32>,
+    /// Understands no order.
+    pub deaf: bool,
+    /// While it is pressed, nothing is released.
+    pub stop_pin: bool,
+    /// Every command that was ever taken, with its queue and number.
+    pub taken: Vec<(QueueId, u64, JobId, Command)>,
+    /// How many commands of each job have ended.
+    pub done: HashMap<JobId, u64>,
+    /// Jobs of the commands in the queue.
+    jobs: Vec<JobId>,
+    booted_us: u64,
+    pub queue: QueueId,
+    commands: Vec<Command>,
+    executed: u64,
+    /// When the command that is executed began.
+    began_us: Option<u64>,
+    pub positions: Vec<i64>,
+    job: Option<(JobId, u64)>,
+    pub latched: Option<StopReason>,
+    /// Comes to rest: why, and when it does.
+    stopping: Option<(StopReason, u64)>,
+    last_stop: Option<StopReport>,
+    told_us: u64,
+    outbox: Vec<(NodeTopic, Vec<u8>)>,
+}
+
+impl FakeNode {
+    pub fn new(id: NodeId, boot: u32, now_us: u64) -> Self {
+        let mut node = Self {
+            id,
+            link_up: true,
+            features: Features::BASIC,
+            axis_count: 2,
+            ring_commands: 4096,
+            refuses_steps: None,
+            deaf: false,
+            stop_pin: false,
+            taken: Vec::new(),
+            done: HashMap::new(),
+            jobs: Vec::new(),
+            booted_us: now_us,
+            queue: QueueId { boot, flush: 0 },
+            commands: Vec::new(),
+            executed: 0,
+            began_us: None,
+            positions: vec![0; 2],
+            job: None,
+            latched: None,
+            stopping: None,
+            last_stop: None,
+            told_us: now_us,
+            outbox: Vec::new(),
+        };
+        node.tell(now_us);
+        node
+    }
+
+    pub fn reboot(&mut self, boot: u32, now_us: u64) {
+        let fresh = Self::new(self.id, boot, now_us);
+        *self = Self {
+            features: self.features,
+            ring_commands: self.ring_commands,
+            refuses_steps: self.refuses_steps,
+            taken: std::mem::take(&mut self.taken),
+            done: std::mem::take(&mut self.done),
+            axis_count: self.axis_count,
+            stop_pin: self.stop_pin,
+            ..fresh
+        };
+    }
+
+    pub fn link(&mut self, up: bool, now_us: u64) {
+        self.link_up = up;
+        self.outbox.clear();
+        if up {
+            self.tell(now_us);
+        }
+    }
+
+    pub fn accepted(&self) -> u64 {
+        self.commands.len() as u64
+    }
+
+    pub fn is_active(&self) -> bool {
+        self.stopping.is_some() || self.executed < self.accepted()
+    }
+
+    pub fn take_outbox(&mut self) -> Vec<(NodeTopic, Vec<u8>)> {
+        std::mem::take(&mut self.outbox)
+    }
+
+    pub fn handle(&mut self, topic: NodeTopic, payload: &[u8], now_us: u64) {
+        self.poll(now_us);
+        match topic {
+            NodeTopic::Batch => {
+                let verdict = self.order(payload, now_us);
+                self.acknowledge(verdict);
+            }
+            NodeTopic::Stop => {
+                let mode = Stop::from_payload(payload).mode;
+                self.stop(StopReason::Client, mode, now_us);
+            }
+            NodeTopic::Clock => {
+                let message = keys::version::decode(payload).expect("a clock message");
+                let ClockMessage::Probe(probe) = message else {
+                    panic!("no probe")
+                };
+                let reply = ClockMessage::Reply(ClockReply {
+                    probe: probe.probe,
+                    boot: self.queue.boot,
+                    sent_at: probe.sent_at,
+                    received_at: self.local(now_us),
+                    replied_at: self.local(now_us),
+                });
+                self.push(NodeTopic::Clock, &reply);
+            }
+            other => panic!("a node does not hear {other:?}"),
+        }
+    }
+
+    pub fn poll(&mut self, now_us: u64) {
+        if let Some((reason, at_us)) = self.stopping
+            && now_us >= at_us
+        {
+            self.stopping = None;
+            self.end_queue(reason, at_us, now_us);
+        }
+        while let Some(end_us) = self.command_end() {
+            if now_us < end_us {
+                break;
+            }
+            let command = self.commands[self.executed as usize];
+            for (position, steps) in self.positions.iter_mut().zip(steps_of(&command)) {
+                *position += steps;
+            }
+            if let Command::SetPosition {
+                axis,
+                position_steps,
+            } = command
+            {
+                self.positions[axis.index()] = position_steps;
+            }
+            *self
+                .done
+                .entry(self.jobs[self.executed as usize])
+                .or_default() += 1;
+            self.executed += 1;
+            self.began_us = (self.executed < self.accepted()).then_some(end_us);
+            if self.job.is_some_and(|(_, end)| self.executed >= end) {
+                self.job = None;
+                self.tell(now_us);
+            }
+        }
+        if now_us >= self.told_us + self.period_us() {
+            self.tell(now_us);
+        }
+    }
+
+    pub fn poll_timeout(&self) -> Option<u64> {
+        let at_rest = self.stopping.map(|(_, at_us)| at_us);
+        let status = self.link_up.then_some(self.told_us + self.period_us());
+        [self.command_end(), at_rest, status]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    pub fn stop(&mut self, reason: StopReason, mode: StopMode, now_us: u64) {
+        if self.latched.is_some() {
+            return;
+        }
+        match (mode, self.stopping) {
+            (StopMode::Halt, _) => {
+                self.stopping = None;
+                self.end_queue(reason, now_us, now_us);
+            }
+            (StopMode::Decelerate, Some((StopReason::Cancel, at_us))) => {
+                self.stopping = Some((reason, at_us));
+                self.tell(now_us);
+            }
+            (StopMode::Decelerate, Some(_)) => {}
+            (StopMode::Decelerate, None) => {
+                self.cut_short(now_us);
+                self.stopping = Some((reason, now_us + DECELERATE_US));
+                self.tell(now_us);
+            }
+        }
+    }
+
+    fn order(&mut self, payload: &[u8], now_us: u64) -> Verdict {
+        let reader = BatchReader::new(payload).ok().filter(|_| !self.deaf);
+        let Some(mut reader) = reader else {
+            return Verdict::Refused(Refusal::Malformed);
+        };
+        let header = match *reader.order() {
+            Order::Batch(header) => header,
+            Order::Cancel { queue, mode } => {
+                if queue != self.queue {
+                    let over = queue.boot == self.queue.boot && queue.flush < self.queue.flush;
+                    return if over {
+                        Verdict::Duplicate
+                    } else {
+                        Verdict::Refused(Refusal::Stale)
+                    };
+                }
+                if self.latched.is_some() {
+                    return Verdict::Refused(Refusal::Stopped);
+                }
+                if self.stopping.is_some() {
+                    return Verdict::Duplicate;
+                }
+                self.stop(StopReason::Cancel, mode, now_us);
+                return Verdict::Accepted;
+            }
+            Order::Release { queue } => {
+                if queue != self.queue {
+                    return Verdict::Refused(Refusal::Stale);
+                }
+                if self.stopping.is_some() || self.stop_pin {
+                    return Verdict::Refused(Refusal::Stopped);
+                }
+                if self.latched.take().is_none() {
+                    return Verdict::Duplicate;
+                }
+                self.tell(now_us);
+                return Verdict::Accepted;
+            }
+        };
+        if header.queue != self.queue {
+            return Verdict::Refused(Refusal::Stale);
+        }
+        if self.latched.is_some() || self.stopping.is_some() {
+            return Verdict::Refused(Refusal::Stopped);
+        }
+        let end = header.first_command + u64::from(header.command_count);
+        if end <= self.accepted() {
+            return Verdict::Duplicate;
+        }
+        if header.first_command < self.accepted() {
+            return Verdict::Refused(Refusal::Overlap);
+        }
+        if header.first_command > self.accepted() {
+            return Verdict::Refused(Refusal::Gap);
+        }
+        let mut commands = Vec::new();
+        while let Some(command) = reader.next_command().expect("well formed") {
+            if steps_of(&command).any(|steps| Some(steps) == self.refuses_steps.map(i64::from)) {
+                let index = commands.len() as u16;
+                return Verdict::Refused(Refusal::BadCommand { index });
+            }
+            commands.push(command);
+        }
+        if commands.len() > self.credit() {
+            return Verdict::Refused(Refusal::QueueShort);
+        }
+        for command in commands {
+            let number = self.accepted();
+            self.taken.push((self.queue, number, header.job, command));
+            self.commands.push(command);
+            self.jobs.push(header.job);
+        }
+        self.began_us.get_or_insert(now_us);
+        if self.job != Some((header.job, header.job_end)) {
+            self.job = Some((header.job, header.job_end));
+            self.tell(now_us);
+        }
+        Verdict::Accepted
+    }
+
+    fn credit(&self) -> usize {
+        let held = (self.accepted() - self.executed) as usize;
+        self.ring_commands.saturating_sub(held)
+    }
+
+    fn period_us(&self) -> u64 {
+        if self.is_active() { 100_000 } else { 1_000_000 }
+    }
+
+    fn local(&self, now_us: u64) -> LocalMicros {
+        LocalMicros(now_us - self.booted_us)
+    }
+
+    fn command_end(&self) -> Option<u64> {
+        let command = self.commands.get(self.executed as usize)?;
+        if self.stopping.is_some() {
+            return None;
+        }
+        Some(self.began_us? + duration_us(command))
+    }
+
+    /// The command that is executed is left where it is.
+    fn cut_short(&mut self, now_us: u64) {
+        if let (Some(command), Some(began_us)) = (
+            self.commands.get(self.executed as usize).copied(),
+            self.began_us,
+        ) {
+            let total_us = duration_us(&command).max(1);
+            let part_us = (now_us - began_us).min(total_us);
+            for (position, steps) in self.positions.iter_mut().zip(steps_of(&command)) {
+                *position += steps * part_us as i64 / total_us as i64;
+            }
+        }
+        self.began_us = None;
+    }
+
+    fn end_queue(&mut self, reason: StopReason, at_us: u64, now_us: u64) {
+        self.cut_short(now_us);
+        self.last_stop = Some(StopReport {
+            queue: self.queue,
+            reason,
+            at: self.local(at_us),
+            accepted_commands: self.accepted(),
+            executed_commands: self.executed,
+            positions_steps: self.positions.iter().copied().collect(),
+        });
+        self.queue.flush += 1;
+        self.commands.clear();
+        self.jobs.clear();
+        self.executed = 0;
+        self.began_us = None;
+        self.job = None;
+        self.latched = (reason != StopReason::Cancel).then_some(reason);
+        self.tell(now_us);
+    }
+
+    fn acknowledge(&mut self, verdict: Verdict) {
+        let ack = BatchAck {
+            queue: self.queue,
+            verdict,
+            accepted_commands: self.accepted(),
+            executed_commands: self.executed,
+            credit_commands: self.credit() as u32,
+        };
+        self.push(NodeTopic::Ack, &ack);
+    }
+
+    pub fn status(&self, now_us: u64) -> Status {
+        let stopping = self
+            .stopping
+            .filter(|(reason, _)| *reason != StopReason::Cancel);
+        let state = match self.latched.or(stopping.map(|(reason, _)| reason)) {
+            Some(StopReason::Fault) => NodeState::Fault,
+            Some(_) => NodeState::Stopped,
+            None if self.is_active() => NodeState::Running,
+            None => NodeState::Idle,
+        };
+        Status {
+            at: self.local(now_us),
+            queue: self.queue,
+            state,
+            stop: self.last_stop.clone(),
+            job: self.job.map(|(job, _)| job),
+            accepted_commands: self.accepted(),
+            executed_commands: self.executed,
+            credit_commands: self.credit() as u32,
+            axes: self
+                .positions
+                .iter()
+                .take(self.axis_count)
+                .map(|position| AxisStatus {
+                    position_steps: *position,
+                    speed_mhz: 0,
+                })
+                .collect(),
+            faults: Default::default(),
+            features: self.features,
+            firmware: [0, 1, 0],
+            rssi_dbm: None,
+            laser_percent: 0,
+            lidar_mm: None,
+        }
+    }
+
+    pub fn tell(&mut self, now_us: u64) {
+        self.told_us = now_us;
+        let status = self.status(now_us);
+        self.push(NodeTopic::Status, &status);
+    }
+
+    fn push<M: serde::Serialize>(&mut self, topic: NodeTopic, message: &M) {
+        if !self.link_up {
+            return;
+        }
+        let mut buffer = [0; 512];
+        let bytes = keys::version::encode(message, &mut buffer).expect("fits");
+        self.outbox.push((topic, bytes.to_vec()));
+    }
+}
+
+/// Steps of each axis.
+fn steps_of(command: &Command) -> impl Iterator<Item = i64> {
+    let steps = match *command {
+        Command::Move { axis, steps, .. } if axis.0 == 0 => [steps, 0],
+        Command::Move { steps, .. } => [0, steps],
+        Command::SyncMove { steps, .. } => steps,
+        _ => [0, 0],
+    };
+    steps.into_iter().map(i64::from)
+}
+
+fn duration_us(command: &Command) -> u64 {
+    let one = |delay_us: u32, steps: i32| u64::from(delay_us) * u64::from(steps.unsigned_abs());
+    match *command {
+        Command::Move {
+            delay_us, steps, ..
+        } => one(delay_us, steps),
+        Command::SyncMove { delay_us, steps } => {
+            one(delay_us[0], steps[0]).max(one(delay_us[1], steps[1]))
+        }
+        Command::Pause { pause_ms } => u64::from(pause_ms) * 1_000,
+        _ => 0,
+    }
+}
