@@ -28,4 +28,15 @@ impl Random {
     pub fn per_mille(&mut self, share: u64) -> bool {
         self.below(1_000) < share
     }
+
+    /// Returns a number from 0, less than 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.number() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Returns a number of the standard normal distribution (Box and Muller).
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
+        radius * (core::f64::consts::TAU * self.unit()).cos()
+    }
 }

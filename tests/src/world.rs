@@ -37,6 +37,7 @@ pub struct Machine {
     /// The node.
     pub node: EmulatedNode,
     clock: LocalClock,
+    drift_ppb: i64,
     /// The link carries messages.
     wired: bool,
     /// The node knows that its link is up.
@@ -91,7 +92,7 @@ impl World {
             now_us: EPOCH_US,
             gateway: GatewayProcess::new(FleetConfig::new(keys.clone())),
             keys,
-            network: Network::default(),
+            network: Network::new(seed),
             machines: BTreeMap::new(),
             returns_at_us: None,
             gets: BTreeMap::new(),
@@ -121,6 +122,7 @@ impl World {
         let offset_us = self.random.below(1 << 40);
         let machine = Machine {
             clock: LocalClock::new(self.now_us, offset_us, drift_ppb),
+            drift_ppb,
             node: EmulatedNode::new(config, self.random.number() as u32),
             wired: true,
             link_known: false,
@@ -131,6 +133,16 @@ impl World {
         };
         self.machines.insert(name, machine);
         self.mend(name);
+    }
+
+    /// Lets the rates of all clocks wander, as crystals do with temperature: a random walk of
+    /// `ppb_per_sqrt_s`, one step of it for the time that has passed since the last call.
+    pub fn wander(&mut self, passed_us: u64, ppb_per_sqrt_s: f64) {
+        for machine in self.machines.values_mut() {
+            let step = ppb_per_sqrt_s * (passed_us as f64 / 1e6).sqrt() * self.random.normal();
+            machine.drift_ppb += step as i64;
+            machine.clock.set_drift(self.now_us, machine.drift_ppb);
+        }
     }
 
     /// Returns the time, µs since 1970.
@@ -242,7 +254,7 @@ impl World {
         let offset_us = self.random.below(1 << 40);
         let machine = self.machines.get_mut(&name).expect("a node");
         machine.node.reset(boot);
-        machine.clock = LocalClock::new(self.now_us, offset_us, 0);
+        machine.clock = LocalClock::new(self.now_us, offset_us, machine.drift_ppb);
         machine.link_known = false;
         machine.notices_at_us = None;
     }
@@ -419,7 +431,7 @@ impl World {
         for outbound in machine.node.outbox(local) {
             let of_gateway = matches!(
                 outbound.topic,
-                NodeTopic::Status | NodeTopic::Ack | NodeTopic::Clock
+                NodeTopic::Status | NodeTopic::Ack | NodeTopic::Clock | NodeTopic::Start
             );
             // Into a broken link a node can speak until it notices.
             if wired && of_gateway {

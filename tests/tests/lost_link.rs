@@ -10,18 +10,19 @@ use tests::{
     world::{MS, S},
 };
 
-/// 4 s of motion.
-fn slow_job(name: &str) -> serde_json::Value {
-    json!({"id": name, "commands": [{"move": {"axis": 0, "delay_us": 1000, "steps": 4000}}]})
+fn world(policy: LinkLoss) -> World {
+    world_with(policy, 4_000)
 }
 
-fn world(policy: LinkLoss) -> World {
+/// A node on its way through this many steps, 1 ms apart.
+fn world_with(policy: LinkLoss, steps: u32) -> World {
     let mut world = World::new(3);
     let mut config = EmulatorConfig::new(NodeId::new("left").expect("legal"));
     config.link_loss = policy;
     world.add_node(config, 20_000);
     world.run_for(100 * MS);
-    let _ = world.submit("left", &slow_job("job"));
+    let moves = json!([{"move": {"axis": 0, "delay_us": 1000, "steps": steps}}]);
+    let _ = world.submit("left", &json!({"id": "job", "commands": moves}));
     world.run_for(500 * MS);
     world
 }
@@ -37,7 +38,8 @@ fn a_short_loss_changes_nothing() {
 
 #[test]
 fn by_default_a_machine_slows_down_and_stops_when_the_link_stays_away() {
-    let mut world = world(LinkLoss::Decelerate);
+    // Node and gateway notice within three seconds; then the node waits for two more.
+    let mut world = world_with(LinkLoss::Decelerate, 20_000);
     world.break_link("left", 10 * S);
     world.run_for(7 * S);
     assert_eq!(

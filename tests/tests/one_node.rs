@@ -5,6 +5,7 @@ use keys::record::JobState;
 use serde_json::json;
 use tests::{
     World,
+    network::Delay,
     world::{MS, S},
 };
 
@@ -53,7 +54,10 @@ fn a_job_becomes_exact_pulses_and_its_record_comes_back() {
 fn a_hundred_thousand_commands_pass_a_ring_of_4096_without_a_stall() {
     let mut world = World::with_nodes(2, &["left"]);
     // WiFi: 1 to 20 ms, both ways.
-    world.faults.delay_us_max = 20 * MS;
+    world.faults.delay = Delay::Uniform {
+        us_min: MS,
+        us_max: 20 * MS,
+    };
     let steps = |index: u32| json!({"move": {"axis": 0, "delay_us": 200 + index % 50, "steps": 1 + index % 5}});
     let commands: Vec<_> = (0..100_000).map(steps).collect();
     let _ = world.submit("left", &json!({"id": "long", "commands": commands}));

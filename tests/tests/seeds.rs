@@ -6,6 +6,7 @@
 use keys::{StopMode, record::JobState};
 use tests::{
     Faults, Random, World,
+    network::Delay,
     verdict::Book,
     world::{MS, S},
 };
@@ -19,8 +20,11 @@ fn run(seed: u64) -> (u64, usize) {
     let mut world = World::with_nodes(seed, &NODES);
     let mut random = Random(!seed);
     world.faults = Faults {
-        delay_us_min: 200,
-        delay_us_max: random.between(300, 30_000),
+        delay: Delay::Uniform {
+            us_min: 200,
+            us_max: random.between(300, 30_000),
+        },
+        lose_per_mille: 0,
         duplicate_per_mille: random.below(50),
         reorder_per_mille: random.below(20),
     };

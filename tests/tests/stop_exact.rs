@@ -6,6 +6,7 @@ use keys::{NodeId, StopMode, record::JobState};
 use serde_json::json;
 use tests::{
     World,
+    network::Delay,
     world::{MS, S},
 };
 
@@ -68,7 +69,10 @@ fn a_stop_leaves_exact_positions_in_node_and_record_and_refuses_what_follows() {
 fn after_a_halt_no_edge_leaves_whatever_the_network_still_delivers() {
     for seed in 0..40 {
         let mut world = World::with_nodes(seed, &["left"]);
-        world.faults.delay_us_max = 60 * MS;
+        world.faults.delay = Delay::Uniform {
+            us_min: MS,
+            us_max: 60 * MS,
+        };
         world.faults.duplicate_per_mille = 300;
         world.faults.reorder_per_mille = 100;
         let _ = world.submit("left", &moves("first", 600));

@@ -51,6 +51,12 @@ impl LocalClock {
             .saturating_add(u64::try_from(real).unwrap_or(u64::MAX))
     }
 
+    /// Gives the clock another rate from this real time on: a crystal that warms up.
+    pub fn set_drift(&mut self, real_us: u64, drift_ppb: i64) {
+        self.jump(real_us, 0);
+        self.drift_ppb = drift_ppb.clamp(-DRIFT_PPB_MAX, DRIFT_PPB_MAX);
+    }
+
     /// Lets the clock jump ahead at this real time.
     pub fn jump(&mut self, real_us: u64, ahead_us: u64) {
         let local = self.local_from_real(real_us);
@@ -86,6 +92,14 @@ mod tests {
                 assert!(first == 77 || clock.local_from_real(first - 1) < local);
             }
         }
+    }
+
+    #[test]
+    fn another_rate_holds_from_then_on_and_time_does_not_jump() {
+        let mut clock = LocalClock::new(0, 0, 100_000);
+        clock.set_drift(1_000_000, -100_000);
+        assert_eq!(clock.local_from_real(1_000_000).0, 1_000_100);
+        assert_eq!(clock.local_from_real(2_000_000).0, 2_000_000);
     }
 
     #[test]

@@ -426,6 +426,10 @@ impl Judge<'_> {
                 let seen = &mut self.axes[axis.index()];
                 seen.origin = position_steps - seen.count;
             }
+            if matches!(taken.command, Command::Barrier { .. }) {
+                // The queue rests there for as long as others need.
+                anchor = None;
+            }
             let runs = runs(&taken.command);
             let firsts: Vec<_> = runs
                 .iter()

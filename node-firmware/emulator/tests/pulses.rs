@@ -301,6 +301,18 @@ fn a_deceleration_slows_down_by_the_profile_and_the_queue_goes_on_after_a_releas
 }
 
 #[test]
+fn a_deceleration_does_not_wait_for_the_time_of_a_step_that_is_not_made() {
+    let mut bench = Bench::new(config());
+    bench.order([steps(X, 3_000_000, 5)]);
+    bench.run_until(1_000_000);
+    bench.stop(StopMode::Decelerate);
+    bench.run_until(1_100_000);
+    assert!(bench.node.status().stop.is_some(), "it is at rest");
+    assert_eq!(bench.node.position_steps(X), 1);
+    bench.judged();
+}
+
+#[test]
 fn a_set_position_takes_effect_between_the_commands_around_it() {
     let mut bench = Bench::new(config());
     bench.order([

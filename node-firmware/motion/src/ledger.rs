@@ -61,3 +61,53 @@ impl Ledger {
         self.booked_steps
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ledger of which `words` words were booked, one step each, from half 0 on.
+    fn booked(words: usize) -> Ledger {
+        let mut ledger = Ledger::new();
+        for half in 0..words / REFILL_WORDS {
+            ledger.book(half % 2, &[1; REFILL_WORDS]);
+        }
+        ledger
+    }
+
+    #[test]
+    fn the_read_pointer_and_the_words_that_were_written_give_the_count() {
+        // Words written, read index, half that waits for its refill, words consumed before the
+        // one that plays (whose edge has left, so one more step counts).
+        for (written, reading, stale_half, consumed) in [
+            (48, 17, None, 17),
+            (48, 30, Some(0), 30),
+            (72, 30, None, 30),
+            (72, 10, Some(1), 58),
+            (96, 10, None, 58),
+            (120, 40, None, 88),
+            (144, 10, None, 106),
+            (4_824, 5, Some(1), 4_805),
+        ] {
+            let ledger = booked(written);
+            assert_eq!(ledger.played_steps(reading, stale_half), consumed + 1);
+        }
+    }
+
+    #[test]
+    fn rests_and_slow_steps_count_by_their_words() {
+        let mut ledger = Ledger::new();
+        let mut words = [0; REFILL_WORDS];
+        words[3] = -1;
+        words[20] = -1;
+        ledger.book(0, &words);
+        ledger.book(1, &[0; REFILL_WORDS]);
+        let played: [i64; 4] = [2, 3, 19, 20].map(|reading| ledger.played_steps(reading, None));
+        assert_eq!(played, [0, -1, -1, -2]);
+        ledger.settle(-1);
+        assert_eq!(
+            (ledger.booked_steps(), ledger.played_steps(0, None)),
+            (-1, -1)
+        );
+    }
+}

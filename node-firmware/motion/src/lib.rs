@@ -18,9 +18,10 @@
 //!   long as the ring holds the next one 20 ms ahead; all axes keep one timeline.
 //! - The position is exact at every instant: the ledger counts active edges that have left the pin,
 //!   also when a stop cuts a block short.
+//! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state.
 //!
-//! Absent as yet: ramps, lines, homing, barriers; [`Motion::check`] refuses them.
+//! Absent as yet: ramps, lines, homing; [`Motion::check`] refuses them.
 #![no_std]
 #![deny(clippy::float_arithmetic)]
 

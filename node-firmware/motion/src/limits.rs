@@ -54,6 +54,10 @@ pub const LOW_WATER_TICKS: u64 = 20_000 * TICKS_PER_US;
 /// segment ring 128; the rest is for those that take no time.
 pub const MARKS_MAX: usize = 512;
 
+/// A start at an instant is begun this much before it: 3 ms. A task may be woken that late; the
+/// lead-in takes what is left, to the tick.
+pub const ALARM_TICKS: u64 = 3_000 * TICKS_PER_US;
+
 /// Longest setup time of a driver profile: 200 µs (the slowest driver in LinuxCNC's table).
 pub const SETUP_TICKS_MAX: u64 = 200 * TICKS_PER_US;
 
@@ -73,6 +77,7 @@ const _: () = assert!(
     "a turn fits one half block"
 );
 const _: () = assert!(MARKS_MAX >= 2 * (CHANNEL_WORDS + SEGMENTS_MAX));
+const _: () = assert!(ALARM_TICKS <= REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX);
 const _: () = assert!(SEGMENTS_MAX > 2 * CHANNEL_WORDS);
 const _: () = assert!(SEGMENTS_MAX as u64 * TICKS_PER_US > 3 * REST_HALF_TICKS_MIN / 2);
 const _: () = assert!(CHANNELS <= keys::AXES_MAX);

@@ -2,7 +2,7 @@
 
 use crate::{
     AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
-    limits::{CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, TICK_HZ, TICKS_PER_US},
+    limits::{ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, TICK_HZ, TICKS_PER_US},
     planner::{Planner, Run, runs_of, ticks_of},
     profile::Timing,
 };
@@ -43,6 +43,23 @@ pub enum MotionEvent {
     Rest,
     /// A stop is complete: the last pulse has left.
     Stopped,
+    /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`].
+    AtBarrier {
+        /// Number of the barrier in the queue.
+        command: u64,
+    },
+    /// The release came too late for its instant; it still waits.
+    BarrierMissed {
+        /// Number of the barrier in the queue.
+        command: u64,
+    },
+    /// The first active edge behind a barrier has left.
+    Started {
+        /// Number of the barrier in the queue.
+        command: u64,
+        /// When; if nothing steps before the next barrier or the end, the instant of the release.
+        first_edge_at: Ticks,
+    },
     /// The pulse hardware found a fault.
     Fault(FaultCode),
 }
@@ -172,6 +189,25 @@ enum Phase {
     Stopped,
 }
 
+/// At which barrier the queue waits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Barrier {
+    /// None, or nobody has been told.
+    Open,
+    /// Told.
+    Waiting,
+    /// To be released at this instant.
+    Armed { start_at: Ticks },
+}
+
+/// A barrier was released, and its first edge has not been told.
+#[derive(Clone, Copy, Debug)]
+struct Start {
+    command: u64,
+    start_at: Ticks,
+    first_edge_at: Option<Ticks>,
+}
+
 /// Motion of one node. See the crate for the picture.
 ///
 /// Call [`Motion::poll`] until it gives `None`, at [`Motion::poll_timeout`] or earlier; a late call
@@ -187,6 +223,10 @@ pub struct Motion<'m, B: StepBackend> {
     planner: Planner,
     marks: Marks,
     phase: Phase,
+    barrier: Barrier,
+    start: Option<Start>,
+    /// What is planned from rest begins no earlier: a barrier was released for this instant.
+    resume_at: Ticks,
     now: Ticks,
     /// Earliest start: when the pins are quiet after a halt.
     quiet_at: Ticks,
@@ -232,6 +272,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             planner: Planner::new(),
             marks: Marks::new(),
             phase: Phase::Rest,
+            barrier: Barrier::Open,
+            start: None,
+            resume_at: Ticks(0),
             now: Ticks(0),
             quiet_at: Ticks(0),
             started_at: Ticks(0),
@@ -330,6 +373,27 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             || matches!(self.phase, Phase::Decelerating | Phase::Stopped)
     }
 
+    /// Returns whether the queue rests at a barrier, told by [`MotionEvent::AtBarrier`].
+    pub fn is_at_barrier(&self) -> bool {
+        self.barrier != Barrier::Open
+    }
+
+    /// Goes on at `start_at`: the commands behind the barrier begin on that tick, by the lead-in of
+    /// the pulse train. Not at a barrier, nothing happens.
+    pub fn release_barrier(&mut self, start_at: Ticks) {
+        if self.barrier != Barrier::Open {
+            self.barrier = Barrier::Armed { start_at };
+        }
+    }
+
+    /// Takes a release back. Returns whether that was in time: `false` once the lead-in plays.
+    pub fn hold_barrier(&mut self) -> bool {
+        if let Barrier::Armed { .. } = self.barrier {
+            self.barrier = Barrier::Waiting;
+        }
+        self.barrier == Barrier::Waiting
+    }
+
     /// Returns whether pulses are leaving.
     pub fn is_moving(&self) -> bool {
         (0..self.axis_count).any(|axis| self.speed_mhz(AxisId(axis as u8)) != 0)
@@ -394,7 +458,13 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(event) = self.pass_phase() {
                 return Some(event);
             }
+            if let Some(event) = self.pass_barrier() {
+                return Some(event);
+            }
             self.plan();
+            if let Some(event) = self.pass_start() {
+                return Some(event);
+            }
             if self.marks.front().is_some_and(|mark| mark.end <= self.now) {
                 continue;
             }
@@ -402,7 +472,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 return None;
             }
             self.now = match self.phase {
-                Phase::Rest | Phase::Stopped => now,
+                Phase::Rest => self
+                    .alarm()
+                    .map_or(now, |alarm| alarm.max(self.now).min(now)),
+                Phase::Stopped => now,
                 Phase::Playing { .. } | Phase::Decelerating => self.backend.service(now),
             };
             self.fault = self.backend.take_fault();
@@ -436,7 +509,14 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     .then(|| self.marks.iter().nth(MARKS_MAX / 2))
                     .flatten();
                 let marks = [event, plan].into_iter().flatten().map(|mark| mark.end);
-                marks.chain(end).min()
+                let first_edge = self.start.map(|start| {
+                    start
+                        .first_edge_at
+                        .unwrap_or(start.start_at)
+                        .max(self.now.plus(1))
+                });
+                let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
+                marks.chain(end).chain(first_edge).chain(alarm).min()
             }
         }
     }
@@ -500,6 +580,78 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         None
     }
 
+    /// Returns when the channels must be started for an armed barrier.
+    fn alarm(&self) -> Option<Ticks> {
+        match self.barrier {
+            Barrier::Armed { start_at } => Some(Ticks(start_at.0.saturating_sub(ALARM_TICKS))),
+            Barrier::Open | Barrier::Waiting => None,
+        }
+    }
+
+    /// Waits at a barrier, or goes on.
+    fn pass_barrier(&mut self) -> Option<MotionEvent> {
+        let at_barrier = self.phase == Phase::Rest
+            && self.marks.front().is_none()
+            && matches!(self.ring.peek(), Some(Command::Barrier { .. }));
+        if !at_barrier {
+            return None;
+        }
+        let command = self.executed_commands;
+        match self.barrier {
+            Barrier::Open => {
+                self.barrier = Barrier::Waiting;
+                Some(MotionEvent::AtBarrier { command })
+            }
+            Barrier::Waiting => None,
+            Barrier::Armed { .. } if self.alarm() > Some(self.now) => None,
+            Barrier::Armed { start_at }
+                if self.now.max(self.quiet_at).plus(self.lead_ticks) > start_at =>
+            {
+                self.barrier = Barrier::Waiting;
+                Some(MotionEvent::BarrierMissed { command })
+            }
+            Barrier::Armed { start_at } => {
+                self.ring.pop();
+                self.marks.push(Mark {
+                    end: start_at,
+                    what: What::Rest,
+                });
+                self.barrier = Barrier::Open;
+                self.resume_at = start_at;
+                self.start = Some(Start {
+                    command,
+                    start_at,
+                    first_edge_at: None,
+                });
+                None
+            }
+        }
+    }
+
+    /// Tells when the first edge behind a barrier has left.
+    fn pass_start(&mut self) -> Option<MotionEvent> {
+        let start = self.start?;
+        let nothing_steps = self.phase == Phase::Rest
+            && self.marks.front().is_none()
+            && self
+                .ring
+                .peek()
+                .is_none_or(|next| matches!(next, Command::Barrier { .. }));
+        let first_edge_at = match start.first_edge_at {
+            Some(at) => at,
+            None if nothing_steps => start.start_at,
+            None => return None,
+        };
+        if first_edge_at > self.now {
+            return None;
+        }
+        self.start = None;
+        Some(MotionEvent::Started {
+            command: start.command,
+            first_edge_at,
+        })
+    }
+
     /// Notices that the channels have come to rest.
     fn pass_phase(&mut self) -> Option<MotionEvent> {
         match self.phase {
@@ -522,7 +674,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 self.settle_axes();
                 self.phase = Phase::Rest;
                 self.planner.rest();
-                if self.executed_commands < self.expected_commands {
+                let at_barrier = matches!(self.ring.peek(), Some(Command::Barrier { .. }));
+                if self.executed_commands < self.expected_commands && !at_barrier {
                     Some(MotionEvent::Underrun)
                 } else {
                     Some(MotionEvent::Rest)
@@ -572,6 +725,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
         }
         self.phase = Phase::Stopped;
+        self.barrier = Barrier::Open;
+        self.start = None;
+        self.resume_at = Ticks(0);
     }
 
     fn pass_marks_silently(&mut self) {
@@ -581,8 +737,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Plans as much as fits.
     fn plan(&mut self) {
         let mut starts_at = None;
+        let mut lead_ticks = self.lead_ticks;
         while let Some(command) = self.ring.peek()
             && !self.marks.is_full()
+            && !matches!(command, Command::Barrier { .. })
         {
             let takes_time = ticks_of(&command).is_some_and(|ticks| ticks > 0);
             let begin = match self.phase {
@@ -598,10 +756,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                         axis.begin();
                     }
                     let at = self.now.max(self.quiet_at);
+                    lead_ticks = self.resume_at.0.saturating_sub(at.0).max(self.lead_ticks);
                     starts_at = Some(at);
-                    at.plus(self.lead_ticks)
+                    at.plus(lead_ticks)
                 }
-                Phase::Rest => self.now,
+                Phase::Rest => self.now.max(self.resume_at),
             };
             let mut end = begin;
             if takes_time {
@@ -614,7 +773,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
         if let Some(at) = starts_at {
             self.started_at = at;
-            self.backend.start(at, self.lead_ticks);
+            self.backend.start(at, lead_ticks);
         }
     }
 
@@ -645,6 +804,12 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             _ if runs[0].is_some() => What::Moves(runs),
             _ => What::Rest,
         };
+        if let Some(start) = self.start.as_mut()
+            && start.first_edge_at.is_none()
+            && runs[0].is_some()
+        {
+            start.first_edge_at = Some(Ticks(end.0 - command_ticks(&runs)));
+        }
         for run in runs.into_iter().flatten() {
             self.planned_steps[usize::from(run.axis.0)] += i64::from(run.steps);
         }

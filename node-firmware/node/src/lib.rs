@@ -4,11 +4,12 @@
 //!                    ┌────────────────────────── Node ──────────────────────────┐
 //!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
+//!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
 //!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
 //!                    │          report.rs ◀── position ─┘                       │
 //!                    │              │                                           │
 //!                    └──────── outbox.rs ────────────────────────────────────────┘
-//!                        ack, status, clock, log
+//!                        ack, status, start, clock, log
 //! ```
 //!
 //! Start with [`Node`]: five verbs ([`Node::handle`], [`Node::poll`], [`Node::poll_timeout`],
@@ -24,6 +25,7 @@ pub mod trace;
 mod clock;
 mod intake;
 mod report;
+mod start;
 mod stop;
 
 pub use outbox::Outbound;
@@ -32,6 +34,7 @@ use crate::{
     intake::CurrentJob,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX},
     outbox::Outbox,
+    start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
 };
@@ -144,6 +147,8 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     phase: Phase,
     job: Option<CurrentJob>,
     last_stop: Option<StopReport>,
+    start: Start,
+    told: Option<Told>,
     stop_pin_active: bool,
     /// Since when the link is gone, `None` while it is there.
     link_gone_at: Option<LocalMicros>,
@@ -191,6 +196,8 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             phase: Phase::Open,
             job: None,
             last_stop: None,
+            start: Start::Open,
+            told: None,
             stop_pin_active: false,
             link_gone_at: Some(LocalMicros(0)),
             link_loss_settled: false,
@@ -248,6 +255,13 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 self.run_motion(now);
                 self.acknowledge(verdict, now);
             }
+            Inbound::Message {
+                topic: NodeTopic::Start,
+                payload,
+            } => {
+                self.run_motion(now);
+                self.take_start(payload, now);
+            }
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
@@ -272,12 +286,13 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     pub fn poll_timeout(&self) -> Option<LocalMicros> {
         let link_loss = self
             .link_gone_at
-            .filter(|_| !self.link_loss_settled)
+            .filter(|_| !self.link_loss_settled && !self.rests_at_barrier())
             .map(|gone_at| gone_at.plus_us(self.config.link_loss_after_us));
         let line = self.outbox.line_timeout().filter(|_| self.link_up());
         [
             self.motion.poll_timeout().map(local_from_ticks),
             self.status_timeout(),
+            self.start_timeout(),
             link_loss,
             line,
         ]
@@ -302,6 +317,9 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 replied_at: now,
             });
             return Some(outbound(NodeTopic::Clock, &reply));
+        }
+        if let Some(message) = self.outbox.pop_start() {
+            return Some(outbound(NodeTopic::Start, &message));
         }
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
@@ -388,6 +406,12 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 MotionEvent::LidarRequest => self.outputs.request_lidar(),
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
                 MotionEvent::Rest => {}
+                MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),
+                MotionEvent::BarrierMissed { command } => self.miss_barrier(command, now),
+                MotionEvent::Started {
+                    command,
+                    first_edge_at,
+                } => self.tell_started(command, first_edge_at, now),
                 MotionEvent::Stopped => self.complete_stop(now),
                 MotionEvent::Fault(code) => {
                     self.note_fault(code, now);
@@ -406,6 +430,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.job = None;
             self.status_due = true;
         }
+        self.watch_start(now);
         self.tell_credit(now);
         self.outbox.earn_line_tokens(now);
         let state = self.state();

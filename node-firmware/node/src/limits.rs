@@ -22,6 +22,22 @@ pub const ACKS_MAX: usize = 8;
 /// Clock replies that wait for the link. An older one than that measures the wait, not the clock.
 pub const CLOCK_REPLIES_MAX: usize = 4;
 
+/// Messages about a start that wait for the link. The oldest goes first: what matters is said again.
+pub const STARTS_MAX: usize = 4;
+
+/// Time between two Ready of a node that waits at a barrier: ten a second, so that a lost one
+/// delays a start by no more than a person notices.
+pub const READY_US: u64 = 100_000;
+
+/// Least time from the last moment of a confirmation to the start: the lead-in must be loaded.
+pub const CONFIRM_MARGIN_US: u64 = 2_000;
+
+/// How often a start is told.
+pub const STARTED_COUNT: u8 = 5;
+
+/// Time between two of them: one second in all, longer than most losses of a WiFi link.
+pub const STARTED_US: u64 = 200_000;
+
 /// Log lines that wait for the link or for their turn.
 pub const LOG_LINES_MAX: usize = 16;
 

@@ -3,6 +3,7 @@
 //! | what | bound | when full |
 //! |---|---|---|
 //! | clock replies | [`CLOCK_REPLIES_MAX`] | the oldest is dropped: it would only measure the wait |
+//! | starts | [`STARTS_MAX`] | the oldest is dropped: it is said again |
 //! | acks | [`ACKS_MAX`] | the oldest is dropped: the newest tells all numbers, and an order without an answer is sent again |
 //! | status | 1 | made when it is taken, so it is always the newest |
 //! | log lines | [`LOG_LINES_MAX`] | the new one is dropped and counted; the count goes out as a line |
@@ -14,11 +15,11 @@ use crate::{
     clock::Probed,
     limits::{
         ACKS_MAX, CLOCK_REPLIES_MAX, LOG_BURST_LINES, LOG_LINE_BYTES_MAX, LOG_LINE_US,
-        LOG_LINES_MAX, OUTBOUND_BYTES_MAX,
+        LOG_LINES_MAX, OUTBOUND_BYTES_MAX, STARTS_MAX,
     },
 };
 use core::fmt::{self, Write};
-use keys::{BatchAck, LocalMicros, NodeTopic};
+use keys::{BatchAck, LocalMicros, NodeTopic, start::StartMessage};
 
 /// A message on its way out.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,6 +37,7 @@ pub(crate) type Line = heapless::String<LOG_LINE_BYTES_MAX>;
 #[derive(Debug)]
 pub(crate) struct Outbox {
     probes: heapless::Deque<Probed, CLOCK_REPLIES_MAX>,
+    starts: heapless::Deque<StartMessage, STARTS_MAX>,
     acks: heapless::Deque<BatchAck, ACKS_MAX>,
     lines: heapless::Deque<Line, LOG_LINES_MAX>,
     lines_dropped: u32,
@@ -47,6 +49,7 @@ impl Outbox {
     pub(crate) const fn new() -> Self {
         Self {
             probes: heapless::Deque::new(),
+            starts: heapless::Deque::new(),
             acks: heapless::Deque::new(),
             lines: heapless::Deque::new(),
             lines_dropped: 0,
@@ -76,6 +79,15 @@ impl Outbox {
 
     pub(crate) fn pop_probe(&mut self) -> Option<Probed> {
         self.probes.pop_front()
+    }
+
+    /// Takes a message about a start; the oldest goes for it when full.
+    pub(crate) fn push_start(&mut self, message: StartMessage) {
+        let _ = push_newest(&mut self.starts, message);
+    }
+
+    pub(crate) fn pop_start(&mut self) -> Option<StartMessage> {
+        self.starts.pop_front()
     }
 
     pub(crate) fn pop_ack(&mut self) -> Option<BatchAck> {
@@ -109,6 +121,7 @@ impl Outbox {
     /// Forgets what only this link was waiting for.
     pub(crate) fn link_down(&mut self) {
         self.probes.clear();
+        self.starts.clear();
         self.acks.clear();
     }
 

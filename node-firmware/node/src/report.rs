@@ -7,6 +7,7 @@
 use crate::{
     Node, Outputs,
     limits::{STATUS_ACTIVE_US, STATUS_IDLE_US},
+    start::Start,
     trace::Event,
 };
 use core::fmt;
@@ -21,6 +22,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match self.phase.latch() {
             Some(StopReason::Fault) => NodeState::Fault,
             Some(_) => NodeState::Stopped,
+            None if self.start != Start::Open => NodeState::Ready,
             None if self.motion.is_active() => NodeState::Running,
             None => NodeState::Idle,
         }

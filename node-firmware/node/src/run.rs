@@ -52,11 +52,17 @@ impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
 }
 
 /// Topics that a node hears.
-const HEARD: [NodeTopic; 3] = [NodeTopic::Stop, NodeTopic::Batch, NodeTopic::Clock];
+const HEARD: [NodeTopic; 4] = [
+    NodeTopic::Stop,
+    NodeTopic::Batch,
+    NodeTopic::Start,
+    NodeTopic::Clock,
+];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 4] = [
+const SPOKEN: [NodeTopic; 5] = [
     NodeTopic::Clock,
+    NodeTopic::Start,
     NodeTopic::Ack,
     NodeTopic::Status,
     NodeTopic::Log,
@@ -93,6 +99,7 @@ impl NodeLink {
             (subscribe(HEARD[0])?, HEARD[0]),
             (subscribe(HEARD[1])?, HEARD[1]),
             (subscribe(HEARD[2])?, HEARD[2]),
+            (subscribe(HEARD[3])?, HEARD[3]),
         ];
         let mut publish = |topic| session.declare_publisher(&keys.node(name, topic));
         let spoken = [
@@ -100,6 +107,7 @@ impl NodeLink {
             (publish(SPOKEN[1])?, SPOKEN[1]),
             (publish(SPOKEN[2])?, SPOKEN[2]),
             (publish(SPOKEN[3])?, SPOKEN[3]),
+            (publish(SPOKEN[4])?, SPOKEN[4]),
         ];
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
@@ -177,6 +185,7 @@ impl NodeLink {
 fn options_of(topic: NodeTopic) -> PutOptions {
     let (priority, congestion, express, encoding) = match topic {
         NodeTopic::Clock => (Priority::RealTime, Congestion::Drop, true, OCTET_STREAM),
+        NodeTopic::Start => (Priority::RealTime, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Ack => (Priority::DataHigh, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Log => (Priority::Background, Congestion::Drop, false, TEXT_PLAIN),
         _ => (Priority::DataHigh, Congestion::Drop, false, OCTET_STREAM),

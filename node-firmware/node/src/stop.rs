@@ -12,7 +12,7 @@
 //! deceleration, a stop overrides a cancel, and a fault overrides the reason; nothing is ever
 //! softened. A latched node has dropped its queue already: another stop begins no other queue.
 
-use crate::{LinkLoss, Node, Outputs, trace::Event};
+use crate::{LinkLoss, Node, Outputs, start::Start, trace::Event};
 use keys::{LocalMicros, StopMode, StopReason, StopReport, status::FaultCode};
 use motion::StepBackend;
 
@@ -65,6 +65,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Sets the stop going; [`Node::run_motion`] completes it.
     pub(crate) fn begin_stop(&mut self, reason: StopReason, mode: StopMode, now: LocalMicros) {
         self.set_laser(0);
+        self.start = Start::Open;
         self.status_due = true;
         match self.phase {
             Phase::Open => {
@@ -150,7 +151,11 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         let Some(gone_at) = self.link_gone_at else {
             return;
         };
-        if self.link_loss_settled || now.since_us(gone_at) < self.config.link_loss_after_us {
+        // At a barrier nothing moves, and nothing will without a confirmation.
+        if self.rests_at_barrier()
+            || self.link_loss_settled
+            || now.since_us(gone_at) < self.config.link_loss_after_us
+        {
             return;
         }
         self.link_loss_settled = true;

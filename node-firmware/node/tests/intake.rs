@@ -250,7 +250,6 @@ fn a_bad_command_is_named_and_nothing_of_its_batch_is_done() {
         },
         Command::Laser { power_percent: 101 },
         Command::Home { axis: AxisId(0) },
-        Command::Barrier { barrier: 1 },
     ];
     for bad in bad {
         let ack = rig.batch(&[steps(5), steps(5), bad, steps(5)]);

@@ -7,6 +7,9 @@ use keys::{
 };
 use std::io::{IsTerminal, Write};
 
+/// Tables are fitted to terminals from this width on.
+const NARROW_COLUMNS: u16 = 60;
+
 /// Prints one line; a reader that has left ends the program's interest in printing.
 pub(crate) fn line(text: &str) {
     // `fleet jobs | head` closes the pipe: no reason to panic.
@@ -27,7 +30,13 @@ pub(crate) fn table(heads: &[&str]) -> Table {
             .map(|head| Cell::new(head.to_uppercase()).add_attribute(Attribute::Bold)),
     );
     if std::io::stdout().is_terminal() {
-        table.set_content_arrangement(ContentArrangement::Dynamic);
+        // A terminal that does not tell its width is better left to wrap lines itself.
+        if table
+            .width()
+            .is_some_and(|columns| columns >= NARROW_COLUMNS)
+        {
+            table.set_content_arrangement(ContentArrangement::Dynamic);
+        }
     } else {
         table.force_no_tty();
     }

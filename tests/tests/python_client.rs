@@ -1,0 +1,239 @@
+//! The contract with clients, asked for by somebody else's zenoh client: the script
+//! `tests/python/contract.py` with the package `eclipse-zenoh` from PyPI, against a gateway and
+//! emulated nodes in this process, over real sockets.
+//!
+//! ```text
+//!  contract.py ──zenoh──▶ gateway ◀──zenoh── emulated nodes
+//!       └──── lines ───▶ Fixture: nodes come and go, buttons are pressed, pulses are counted
+//! ```
+//!
+//! `CONTRACT="Stop Ids"` in the environment runs those classes only.
+//!
+//! The fixture does what no client can: it says what the pins did, so that the script need not
+//! believe the product. Needs `python3` with `venv`, and PyPI once for each target directory.
+
+use anyhow::{Context, Result, bail, ensure};
+use emulator::{EmulatedHandle, EmulatorConfig};
+use gateway::{config::GatewayConfig, service::Service};
+use keys::{AxisId, NodeId};
+use std::{
+    collections::HashMap,
+    fs::File,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tokio::{
+    io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
+    net::{TcpListener, TcpStream},
+};
+
+/// The version of `eclipse-zenoh`: the one of the gateway's zenoh.
+const PACKAGE_VERSION: &str = "1.10.2";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn the_contract_holds_for_a_client_in_python() {
+    let python = tokio::task::spawn_blocking(python)
+        .await
+        .expect("no panic")
+        .expect("a Python with eclipse-zenoh");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/contract.py");
+    let mut fixture = Fixture::start().await.expect("a fleet");
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let control = listener.local_addr().expect("bound").to_string();
+    let locator = fixture.locator.clone();
+    let mut client = tokio::task::spawn_blocking(move || {
+        Command::new(python)
+            .arg(script)
+            .args(["--locator", &locator, "--control", &control])
+            .args(only())
+            .output()
+    });
+    let output = loop {
+        tokio::select! {
+            output = &mut client => break output.expect("no panic").expect("the script ran"),
+            link = listener.accept() => {
+                let (link, _) = link.expect("a connection");
+                // The script ends the connection, in time or by its death.
+                fixture.serve(link).await;
+            }
+        }
+    };
+    fixture.end().await;
+    let text = text_of(&output);
+    // Shown by the test runner when the test fails.
+    println!("{text}");
+    assert!(output.status.success(), "{}", output.status);
+}
+
+/// Returns the tests that are asked for, all of them by default: `CONTRACT="Stop Ids.test_…"`.
+fn only() -> Vec<String> {
+    let names = std::env::var("CONTRACT").unwrap_or_default();
+    names.split_whitespace().map(str::to_owned).collect()
+}
+
+fn text_of(output: &Output) -> String {
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
+}
+
+/// Returns the interpreter of an environment that has the client. It is made once; other test
+/// processes wait for the one that makes it.
+fn python() -> Result<PathBuf> {
+    // The directory of the test binaries: `target/tmp` has the target directory above it.
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .parent()
+        .context("cargo's directory for tests lies in the target directory")?;
+    let home = target.join(format!("python-venv-{PACKAGE_VERSION}"));
+    let lock_path = target.join(format!("python-venv-{PACKAGE_VERSION}.lock"));
+    // Held until the end of this function; the system lets it go with the process.
+    let lock = File::create(&lock_path).with_context(|| format!("{}", lock_path.display()))?;
+    lock.lock()
+        .with_context(|| format!("{}", lock_path.display()))?;
+    let interpreter = if cfg!(windows) {
+        home.join("Scripts").join("python.exe")
+    } else {
+        home.join("bin").join("python")
+    };
+    let complete = home.join("complete");
+    if complete.exists() && interpreter.exists() {
+        return Ok(interpreter);
+    }
+    if home.exists() {
+        std::fs::remove_dir_all(&home).with_context(|| format!("{}", home.display()))?;
+    }
+    let system = if cfg!(windows) { "python" } else { "python3" };
+    run(Command::new(system).args(["-m", "venv"]).arg(&home)).context(
+        "this test needs python3 with its venv module (Debian: apt install python3-venv)",
+    )?;
+    let package = format!("eclipse-zenoh=={PACKAGE_VERSION}");
+    let pip = ["-m", "pip", "install", "--disable-pip-version-check"];
+    run(Command::new(&interpreter)
+        .args(pip)
+        .args(["--only-binary", ":all:", &package]))
+    .with_context(|| format!("this test needs {package} from PyPI, which pip could not get"))?;
+    File::create(&complete).with_context(|| format!("{}", complete.display()))?;
+    Ok(interpreter)
+}
+
+fn run(command: &mut Command) -> Result<()> {
+    let output = command
+        .output()
+        .with_context(|| format!("{command:?} could not be started"))?;
+    ensure!(
+        output.status.success(),
+        "{command:?}: {}\n{}",
+        output.status,
+        text_of(&output)
+    );
+    Ok(())
+}
+
+/// A gateway and its nodes, moved by lines of text.
+struct Fixture {
+    store: tempfile::TempDir,
+    /// `None` while it restarts.
+    gateway: Option<Service>,
+    locator: String,
+    nodes: HashMap<String, EmulatedHandle>,
+}
+
+impl Fixture {
+    async fn start() -> Result<Self> {
+        let store = tempfile::tempdir()?;
+        let gateway = gateway_on("tcp/127.0.0.1:0", store.path()).await?;
+        let locator = gateway
+            .locators()
+            .first()
+            .context("the gateway listens nowhere")?
+            .clone();
+        Ok(Self {
+            store,
+            gateway: Some(gateway),
+            locator,
+            nodes: HashMap::new(),
+        })
+    }
+
+    /// Answers each line with one line, `ok …` or `error …`.
+    async fn serve(&mut self, mut link: TcpStream) {
+        let (reader, mut writer) = link.split();
+        let mut lines = BufReader::new(reader).lines();
+        // A script that was killed ends its connection in whichever way.
+        while let Ok(Some(line)) = lines.next_line().await {
+            let answer = match self.obey(&line).await {
+                Ok(answer) => format!("ok {answer}\n"),
+                Err(error) => format!("error {line}: {error:#}\n"),
+            };
+            if writer.write_all(answer.as_bytes()).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    async fn obey(&mut self, line: &str) -> Result<String> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match words[..] {
+            ["up", name] => self.up(name, 2),
+            ["up", name, axes] => self.up(name, axes.parse()?),
+            ["down", name] => {
+                let node = self.nodes.remove(name).context("no such node")?;
+                node.shutdown().await;
+                Ok(String::new())
+            }
+            ["cut", name] => {
+                self.node(name)?.reset();
+                Ok(String::new())
+            }
+            ["pin", name, active] => {
+                self.node(name)?.stop_pin(active.parse()?);
+                Ok(String::new())
+            }
+            ["pulses", name, axis] => {
+                let axis = AxisId(axis.parse()?);
+                Ok(self.node(name)?.step_count(axis).to_string())
+            }
+            ["restart"] => {
+                let gateway = self.gateway.take().context("it does not run")?;
+                gateway.shutdown().await?;
+                self.gateway = Some(gateway_on(&self.locator, self.store.path()).await?);
+                Ok(String::new())
+            }
+            _ => bail!("no such word"),
+        }
+    }
+
+    fn up(&mut self, name: &str, axis_count: usize) -> Result<String> {
+        let config = EmulatorConfig {
+            connect: self.locator.clone(),
+            axis_count,
+            ..EmulatorConfig::new(NodeId::new(name)?)
+        };
+        ensure!(!self.nodes.contains_key(name), "it is there");
+        self.nodes.insert(name.to_owned(), emulator::spawn(config)?);
+        Ok(String::new())
+    }
+
+    fn node(&self, name: &str) -> Result<&EmulatedHandle> {
+        self.nodes.get(name).context("no such node")
+    }
+
+    async fn end(self) {
+        for (_, node) in self.nodes {
+            node.shutdown().await;
+        }
+        if let Some(gateway) = self.gateway {
+            gateway.shutdown().await.expect("an orderly end");
+        }
+    }
+}
+
+async fn gateway_on(locator: &str, store: &Path) -> Result<Service> {
+    let config = GatewayConfig {
+        listen: vec![locator.to_owned()],
+        ..GatewayConfig::new(store.join("fleet.redb"))
+    };
+    Ok(Service::start(config).await?)
+}
