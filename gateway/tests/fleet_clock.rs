@@ -153,20 +153,20 @@ fn what_is_claimed_holds_and_is_worth_something_on_every_kind_of_network() {
         (
             "one machine",
             Box::new(|c| 30.0 + c.exponential(20.0)),
-            15.0,
+            10.0,
             40.0,
         ),
         (
             "a quiet cable",
             Box::new(|c| 200.0 + c.exponential(144.0)),
-            60.0,
-            150.0,
+            40.0,
+            120.0,
         ),
         (
             "WiFi, half within 2 ms and one in a hundred above 20 ms",
             Box::new(|c| (2000.0_f64.ln() + 0.99 * c.normal()).exp()),
-            800.0,
-            2_500.0,
+            400.0,
+            1_000.0,
         ),
         (
             "an access point with bursts",
@@ -174,8 +174,8 @@ fn what_is_claimed_holds_and_is_worth_something_on_every_kind_of_network() {
                 let burst = c.unit() < 0.05;
                 900.0 + c.exponential(if burst { 15_000.0 } else { 1_500.0 })
             }),
-            800.0,
-            2_500.0,
+            250.0,
+            700.0,
         ),
     ];
     for (name, delay_us, error_us_max, claim_us_max) in networks {
