@@ -18,7 +18,7 @@
 
 use crate::{
     bus::{
-        Arrived, Inbox, Outlets, PostedJob, WallClock, store_failed, submit_event,
+        Addressee, Arrived, Inbox, Outlets, PostedJob, WallClock, store_failed,
         zenoh::{Bus, BusError},
     },
     config::GatewayConfig,
@@ -26,7 +26,7 @@ use crate::{
         Fleet, FleetConfig, RestoreError,
         event::{Effect, Event, Lane, ReplyTo},
     },
-    job::parse::parse,
+    job::parse::{Parsed, parse, parse_group},
     journal::{Journal, JournalError},
 };
 use keys::{
@@ -276,8 +276,27 @@ async fn read_jobs(
 }
 
 fn read_job(job: PostedJob) -> Event {
-    let parsed = parse(&job.encoding, &job.payload.to_bytes());
-    submit_event(job.to, parsed.request, parsed.id_hint, job.reply)
+    let (payload, reply) = (job.payload.to_bytes(), job.reply);
+    match job.to {
+        Addressee::Node(pattern) => {
+            let Parsed { request, id_hint } = parse(&job.encoding, &payload);
+            Event::Submit {
+                pattern,
+                request,
+                id_hint,
+                reply,
+            }
+        }
+        Addressee::Group(pattern) => {
+            let Parsed { request, id_hint } = parse_group(&job.encoding, &payload);
+            Event::SubmitGroup {
+                pattern,
+                request,
+                id_hint,
+                reply,
+            }
+        }
+    }
 }
 
 /// Waits for each job in turn and for room in the fleet's queue.

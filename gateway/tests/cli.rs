@@ -194,6 +194,9 @@ fn a_gateway_without_nodes_answers_every_verb() {
     let ran = gateway.fleet(&["submit", file, "--node", "left"]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("unknown_node"), "{}", ran.err);
+    let ran = gateway.fleet(&["submit", file, "--group", "table"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    assert!(ran.err.contains("bad_json"), "{}", ran.err);
     let ran = gateway.fleet(&["submit", "/no/such/file.json", "--node", "left"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("/no/such/file.json"), "{}", ran.err);
@@ -399,15 +402,19 @@ fn an_operator_plays_stops_releases_and_cancels_on_emulated_nodes() {
 
 #[cfg(feature = "demo")]
 #[test]
-fn the_demo_plays_three_jobs_and_accounts_for_every_pulse() {
+fn the_demo_plays_three_jobs_and_one_together_and_accounts_for_every_pulse() {
     let ran = fleet(&["demo", "--json"]);
     assert_eq!(ran.code, Some(0), "{}\n{}", ran.out, ran.err);
-    let lines: Vec<serde_json::Value> = ran
+    let mut lines: Vec<serde_json::Value> = ran
         .out
         .lines()
         .map(|line| serde_json::from_str(line).expect("JSON"))
         .collect();
-    assert_eq!(lines.len(), 3);
+    assert_eq!(lines.len(), 4);
+    let together = lines.pop().expect("four");
+    assert_eq!(together["state"], "succeeded", "{together}");
+    let started = together["start"]["by_node_us"].as_object();
+    assert_eq!(started.map(serde_json::Map::len), Some(3), "{together}");
     for line in lines {
         assert_eq!(line["good"], true, "{line}");
         assert_eq!(line["state"], "succeeded", "{line}");

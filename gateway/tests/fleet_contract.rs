@@ -216,16 +216,13 @@ fn what_a_node_cannot_do_is_refused_with_the_place() {
     assert_eq!(code, "bad_command");
     assert_eq!(message, "lua: not supported by this node's firmware");
 
-    let reply = rig.ask();
-    for reply in [Some(reply), None] {
-        rig.event(Event::SubmitGroup {
-            pattern: "g1".into(),
-            id_hint: Some(id("cut-7")),
-            reply,
-        });
-    }
-    let (code, _) = error_of(&rig.answers(reply)[0]);
-    assert_eq!(code, "bad_command");
+    let cut = json!({"id": "cut-7", "nodes": {"left": {"commands": [ramp]}}});
+    let expected = "nodes.left: synchronized jobs are not supported by this node's firmware";
+    assert_eq!(
+        rig.refuse_group(&cut),
+        ("bad_command".into(), expected.into())
+    );
+    rig.submit_group("g1", &cut, None);
     let record = rig.record(&id("cut-7"));
     assert_eq!(record.state, JobState::Rejected);
     assert_eq!(

@@ -241,7 +241,7 @@ async fn what_cannot_be_done_is_answered_with_its_code() {
     let group = br#"{"nodes":{"left":{"commands":[{"pause":{"ms":1}}]}}}"#;
     assert_eq!(
         bench.code("fleet/group/g1/job", Some((group, json))).await,
-        ErrorCode::BadCommand
+        ErrorCode::UnknownNode
     );
     assert!(bench.ask("fleet/node/*/state", None).await.is_empty());
     bench.end().await;

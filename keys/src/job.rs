@@ -4,13 +4,14 @@
 //! error (`commands[3].move.delay_us: …`). A job is taken whole or not at all.
 
 use crate::{
-    AxisId, Command, JobId,
+    AxisId, Command, JobId, NodeId,
     command::{LINE_AXES, Ramp, RampShape},
     record::{ErrorCode, JobError},
 };
 use core::{fmt, marker::PhantomData};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::{
+    collections::BTreeMap,
     format,
     string::{String, ToString},
     vec::Vec,
@@ -28,6 +29,9 @@ pub const PAUSE_MS_MAX: u32 = 86_400_000;
 /// Longest move, µs: the longest that a node can count, 9,139 years.
 pub const MOVE_US_MAX: u64 = 1 << 58;
 
+/// Most nodes of a synchronized job: each change of a part tells the record of all of them.
+pub const GROUP_NODES_MAX: usize = 128;
+
 /// Longest name of a barrier, bytes.
 pub const BARRIER_BYTES_MAX: usize = 64;
 
@@ -41,6 +45,23 @@ pub struct JobRequest {
     /// What to do when the node is not there.
     pub offline: Offline,
     /// Longest time from the first command sent to the last pulse, s.
+    pub timeout_s: Option<f64>,
+}
+
+/// A synchronized job as a client asks for it: one part for each node, started together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroupRequest {
+    /// The client's own name for it; makes it idempotent.
+    pub id: Option<JobId>,
+    /// The parts: 1 to [`GROUP_NODES_MAX`].
+    pub nodes: BTreeMap<NodeId, Work>,
+    /// How far apart the first edges may be by what is known of the nodes' clocks, µs.
+    pub max_skew_us: Option<f64>,
+    /// How long the nodes have to become ready once all parts were sent, ms.
+    pub ready_timeout_ms: Option<f64>,
+    /// What to do when a node is not there. Unlike a plain job, one that says nothing is refused.
+    pub offline: Option<Offline>,
+    /// Longest time from the last part's first command sent to the last pulse, s.
     pub timeout_s: Option<f64>,
 }
 
@@ -277,6 +298,71 @@ struct RawJob {
     timeout_s: Option<f64>,
 }
 
+/// The JSON object of a synchronized job, before it is known to be legal.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawGroup {
+    #[serde(default)]
+    id: Option<String>,
+    nodes: RawParts,
+    #[serde(default)]
+    max_skew_us: Option<f64>,
+    #[serde(default)]
+    ready_timeout_ms: Option<f64>,
+    #[serde(default)]
+    offline: Option<Offline>,
+    #[serde(default)]
+    timeout_s: Option<f64>,
+}
+
+/// One part, before it is known to be legal.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPart {
+    #[serde(default)]
+    commands: Option<Vec<JobCommand>>,
+    #[serde(default)]
+    lua: Option<String>,
+}
+
+/// Parts by the name of their node, in the order of the text: a name that comes twice must not
+/// hide a part.
+struct RawParts(Vec<(String, RawPart)>);
+
+impl<'de> Deserialize<'de> for RawParts {
+    fn deserialize<D: Deserializer<'de>>(reader: D) -> Result<Self, D::Error> {
+        struct Parts;
+
+        impl<'de> de::Visitor<'de> for Parts {
+            type Value = RawParts;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "an object: a part for each node")
+            }
+
+            fn visit_map<A: de::MapAccess<'de>>(self, mut map: A) -> Result<RawParts, A::Error> {
+                let mut parts = Vec::new();
+                while let Some(name) = map.next_key::<String>()? {
+                    let Part(part) = map.next_value()?;
+                    parts.push((name, part));
+                }
+                Ok(RawParts(parts))
+            }
+        }
+
+        /// In text a part has names, too.
+        struct Part(RawPart);
+
+        impl<'de> Deserialize<'de> for Part {
+            fn deserialize<D: Deserializer<'de>>(reader: D) -> Result<Self, D::Error> {
+                object(reader).map(Part)
+            }
+        }
+
+        reader.deserialize_map(Parts)
+    }
+}
+
 /// Finds an id in a job that may be refused, so that its record can be named.
 #[derive(Deserialize)]
 struct OnlyId {
@@ -292,40 +378,10 @@ impl JobRequest {
         if payload.len() > JOB_BYTES_MAX {
             return Err(too_large_bytes(payload.len()));
         }
-        let mut reader = serde_json::Deserializer::from_slice(payload);
-        let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
-        if first == Some(&b'[') {
-            let message = "a job is a JSON object, not an array";
-            return Err(JobError::new(ErrorCode::BadJson, message));
-        }
-        let raw: RawJob = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-            let place = error.path().to_string();
-            json_error(payload, &place, error.inner())
-        })?;
-        reader
-            .end()
-            .map_err(|error| json_error(payload, ".", &error))?;
-        let id = match raw.id {
-            None => None,
-            Some(text) => Some(
-                JobId::new(&text)
-                    .map_err(|error| JobError::new(ErrorCode::BadId, format!("id: {error}")))?,
-            ),
-        };
-        let work = match (raw.commands, raw.lua) {
-            (Some(commands), None) => Work::Commands(commands),
-            (None, Some(script)) => Work::Lua(script),
-            (None, None) => {
-                let message = "a job needs `commands` or `lua`";
-                return Err(JobError::new(ErrorCode::BadJson, message));
-            }
-            (Some(_), Some(_)) => {
-                let message = "a job has either `commands` or `lua`, not both";
-                return Err(JobError::new(ErrorCode::BadJson, message));
-            }
-        };
+        let raw: RawJob = read_object(payload)?;
+        let work = Work::from_either(raw.commands, raw.lua, "job")?;
         let request = Self {
-            id,
+            id: read_id(raw.id)?,
             work,
             offline: raw.offline.unwrap_or_default(),
             timeout_s: raw.timeout_s,
@@ -362,31 +418,249 @@ impl JobRequest {
     /// # Errors
     /// The first value that is out of range, with its place.
     pub fn check(&self) -> Result<(), JobError> {
-        if let Some(timeout_s) = self.timeout_s
-            && !(timeout_s > 0.0 && timeout_s.is_finite())
-        {
-            let message = format!("timeout_s: {timeout_s} is not a time; it must be more than 0");
+        check_time("timeout_s", self.timeout_s)?;
+        self.work.check()
+    }
+}
+
+impl Work {
+    fn from_either(
+        commands: Option<Vec<JobCommand>>,
+        script: Option<String>,
+        what: &str,
+    ) -> Result<Self, JobError> {
+        let message = match (commands, script) {
+            (Some(commands), None) => return Ok(Self::Commands(commands)),
+            (None, Some(script)) => return Ok(Self::Lua(script)),
+            (None, None) => format!("a {what} needs `commands` or `lua`"),
+            (Some(_), Some(_)) => format!("a {what} has either `commands` or `lua`, not both"),
+        };
+        Err(JobError::new(ErrorCode::BadJson, message))
+    }
+
+    fn check(&self) -> Result<(), JobError> {
+        let Self::Commands(commands) = self else {
+            return Ok(());
+        };
+        if commands.is_empty() {
+            return Err(JobError::new(
+                ErrorCode::BadCommand,
+                "commands: the list is empty",
+            ));
+        }
+        if commands.len() > JOB_COMMANDS_MAX {
+            let message = format!(
+                "commands: {} of them; a job has at most {JOB_COMMANDS_MAX}",
+                commands.len()
+            );
+            return Err(JobError::new(ErrorCode::TooLarge, message));
+        }
+        for (index, command) in commands.iter().enumerate() {
+            command.check().map_err(|error| error.at(index))?;
+        }
+        Ok(())
+    }
+
+    /// Returns the names of its meeting points and the indices of their commands, in order.
+    fn barriers(&self) -> impl Iterator<Item = (&str, usize)> {
+        let commands = match self {
+            Self::Commands(commands) => commands.as_slice(),
+            Self::Lua(_) => &[],
+        };
+        commands
+            .iter()
+            .enumerate()
+            .filter_map(|(index, command)| match command {
+                JobCommand::Barrier(fields) => Some((fields.name.as_str(), index)),
+                _ => None,
+            })
+    }
+}
+
+impl GroupRequest {
+    /// Reads a synchronized job from JSON and checks it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with its place.
+    pub fn from_json(payload: &[u8]) -> Result<Self, JobError> {
+        if payload.len() > JOB_BYTES_MAX {
+            return Err(too_large_bytes(payload.len()));
+        }
+        let raw: RawGroup = read_object(payload)?;
+        let mut nodes = BTreeMap::new();
+        for (name, part) in raw.nodes.0 {
+            let bad = |words: &dyn fmt::Display| {
+                JobError::new(ErrorCode::BadJson, format!("nodes.{name}: {words}"))
+            };
+            let node = NodeId::new(&name).map_err(|error| bad(&error))?;
+            let work = Work::from_either(part.commands, part.lua, "part")
+                .map_err(|error| bad(&error.message))?;
+            if nodes.insert(node, work).is_some() {
+                return Err(bad(&"there is a part for this node already"));
+            }
+        }
+        let request = Self {
+            id: read_id(raw.id)?,
+            nodes,
+            max_skew_us: raw.max_skew_us,
+            ready_timeout_ms: raw.ready_timeout_ms,
+            offline: raw.offline,
+            timeout_s: raw.timeout_s,
+        };
+        request.check()?;
+        Ok(request)
+    }
+
+    /// Reads a synchronized job from postcard (version byte and message) and checks it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong.
+    pub fn from_postcard(payload: &[u8]) -> Result<Self, JobError> {
+        if payload.len() > JOB_BYTES_MAX {
+            return Err(too_large_bytes(payload.len()));
+        }
+        let request: Self = crate::version::decode(payload).map_err(|error| {
+            let message = format!("no postcard GroupRequest: {error}");
+            JobError::new(ErrorCode::BadJson, message)
+        })?;
+        request.check()?;
+        Ok(request)
+    }
+
+    /// Checks what the types do not.
+    ///
+    /// # Errors
+    /// The first value that is out of range, with its place.
+    pub fn check(&self) -> Result<(), JobError> {
+        check_time("max_skew_us", self.max_skew_us)?;
+        check_time("ready_timeout_ms", self.ready_timeout_ms)?;
+        check_time("timeout_s", self.timeout_s)?;
+        if self.nodes.is_empty() {
+            let message = "nodes: there must be a part for at least one node";
             return Err(JobError::new(ErrorCode::BadJson, message));
         }
-        if let Work::Commands(commands) = &self.work {
-            if commands.is_empty() {
-                return Err(JobError::new(
-                    ErrorCode::BadCommand,
-                    "commands: the list is empty",
-                ));
+        if self.nodes.len() > GROUP_NODES_MAX {
+            let message = format!(
+                "nodes: {} of them; a synchronized job has at most {GROUP_NODES_MAX}",
+                self.nodes.len()
+            );
+            return Err(JobError::new(ErrorCode::TooLarge, message));
+        }
+        for (node, work) in &self.nodes {
+            work.check().map_err(|error| {
+                JobError::new(error.code, format!("nodes.{node}.{}", error.message))
+            })?;
+        }
+        self.check_barriers()
+    }
+
+    /// Meeting points that could never be lifted: met by one part only, twice in one part, or in
+    /// an order in which two parts wait for each other.
+    fn check_barriers(&self) -> Result<(), JobError> {
+        let bad = |node: &NodeId, index: usize, words: &str| {
+            let message = format!("nodes.{node}.commands[{index}].barrier: {words}");
+            Err(JobError::new(ErrorCode::BadCommand, message))
+        };
+        let mut parts_of: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut lists: Vec<(&NodeId, Vec<(&str, usize)>)> = Vec::new();
+        for (node, work) in &self.nodes {
+            let list: Vec<_> = work.barriers().collect();
+            let mut here: BTreeMap<&str, usize> = BTreeMap::new();
+            for (name, index) in &list {
+                if let Some(first) = here.insert(name, *index) {
+                    let words = format!("`{name}` is met in commands[{first}] already");
+                    return bad(node, *index, &words);
+                }
+                *parts_of.entry(name).or_default() += 1;
             }
-            if commands.len() > JOB_COMMANDS_MAX {
-                let message = format!(
-                    "commands: {} of them; a job has at most {JOB_COMMANDS_MAX}",
-                    commands.len()
+            lists.push((node, list));
+        }
+        if parts_of.len() > usize::from(u16::MAX) {
+            let message = format!(
+                "nodes: {} meeting points; there can be at most {}",
+                parts_of.len(),
+                u16::MAX
+            );
+            return Err(JobError::new(ErrorCode::TooLarge, message));
+        }
+        for (node, list) in &lists {
+            for (name, index) in list {
+                if parts_of[name] == 1 {
+                    return bad(node, *index, &format!("no other part meets at `{name}`"));
+                }
+            }
+        }
+        // Meets what can be met until nothing is left, or nothing can be.
+        let mut fronts = std::vec![0; lists.len()];
+        let mut waiting: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        let mut arriving: Vec<usize> = (0..lists.len()).collect();
+        while let Some(part) = arriving.pop() {
+            let Some((name, _)) = lists[part].1.get(fronts[part]) else {
+                continue;
+            };
+            let here = waiting.entry(name).or_default();
+            here.push(part);
+            if here.len() == parts_of[name] {
+                for part in waiting.remove(name).unwrap_or_default() {
+                    fronts[part] += 1;
+                    arriving.push(part);
+                }
+            }
+        }
+        for (part, (node, list)) in lists.iter().enumerate() {
+            if let Some((name, index)) = list.get(fronts[part]) {
+                let words = format!(
+                    "`{name}` is never met: another part waits for this one somewhere else"
                 );
-                return Err(JobError::new(ErrorCode::TooLarge, message));
-            }
-            for (index, command) in commands.iter().enumerate() {
-                command.check().map_err(|error| error.at(index))?;
+                return bad(node, *index, &words);
             }
         }
         Ok(())
+    }
+
+    /// Returns the number of each meeting point: 1, 2, … by first appearance, parts in the order
+    /// of their nodes' names. 0 is the start.
+    pub fn barrier_numbers(&self) -> BTreeMap<&str, u16> {
+        let mut numbers = BTreeMap::new();
+        for (name, _) in self.nodes.values().flat_map(Work::barriers) {
+            let next = numbers.len() as u16 + 1;
+            numbers.entry(name).or_insert(next);
+        }
+        numbers
+    }
+}
+
+/// Reads an object of one of ours, and nothing behind it.
+fn read_object<T: de::DeserializeOwned>(payload: &[u8]) -> Result<T, JobError> {
+    let mut reader = serde_json::Deserializer::from_slice(payload);
+    let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
+    if first == Some(&b'[') {
+        let message = "a job is a JSON object, not an array";
+        return Err(JobError::new(ErrorCode::BadJson, message));
+    }
+    let raw = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let place = error.path().to_string();
+        json_error(payload, &place, error.inner())
+    })?;
+    reader
+        .end()
+        .map_err(|error| json_error(payload, ".", &error))?;
+    Ok(raw)
+}
+
+fn read_id(text: Option<String>) -> Result<Option<JobId>, JobError> {
+    text.map(|text| JobId::new(&text))
+        .transpose()
+        .map_err(|error| JobError::new(ErrorCode::BadId, format!("id: {error}")))
+}
+
+fn check_time(field: &str, value: Option<f64>) -> Result<(), JobError> {
+    match value {
+        Some(value) if !(value > 0.0 && value.is_finite()) => {
+            let message = format!("{field}: {value} is not a time; it must be more than 0");
+            Err(JobError::new(ErrorCode::BadJson, message))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -622,7 +896,12 @@ fn too_large_bytes(byte_count: usize) -> JobError {
 /// Turns serde's message into ours: the place first, line and column last.
 fn json_error(payload: &[u8], place: &str, error: &serde_json::Error) -> JobError {
     use serde_json::error::Category;
-    let in_commands = place.starts_with("commands[");
+    // In a part, the place begins with the part's.
+    let of_command = match place.strip_prefix("commands[") {
+        Some(rest) => Some(rest),
+        None => place.split_once(".commands[").map(|(_, rest)| rest),
+    };
+    let in_commands = of_command.is_some();
     // One item too many is a syntax error to the reader of a list, although the text is JSON.
     let too_many = error.is_syntax() && serde_json::from_slice::<de::IgnoredAny>(payload).is_ok();
     let code = match error.classify() {
@@ -632,7 +911,7 @@ fn json_error(payload: &[u8], place: &str, error: &serde_json::Error) -> JobErro
     };
     let words = if too_many {
         let (line, column) = (error.line(), error.column());
-        let what = match place.strip_prefix("commands[") {
+        let what = match of_command {
             Some(rest) if rest.ends_with(']') && !rest.contains('.') => {
                 "more than one command in one object"
             }

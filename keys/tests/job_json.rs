@@ -3,7 +3,7 @@
 
 use keys::{
     Command,
-    job::{JobRequest, Offline, Work},
+    job::{GROUP_NODES_MAX, GroupRequest, JobRequest, Offline, Work},
     record::{ErrorCode, JobRecord},
 };
 
@@ -235,6 +235,181 @@ fn everything_wrong_is_named_with_its_place() {
             assert_eq!(found, *code, "{text}: {message}");
         }
     }
+}
+
+const GROUP: &str = r#"{"id":"cut-7","nodes":{
+  "right":{"commands":[{"barrier":{"name":"b"}},{"move":{"axis":0,"delay_us":500,"steps":5}},{"barrier":{"name":"a"}}]},
+  "left":{"commands":[{"pause":{"ms":5}},{"barrier":{"name":"b"}}]},
+  "up":{"commands":[{"barrier":{"name":"a"}}]},
+  "down":{"lua":"motor.execute()"}},
+  "max_skew_us":1000,"ready_timeout_ms":2500.5,"offline":"queue","timeout_s":60}"#;
+
+#[test]
+fn a_synchronized_job_is_read_and_its_meeting_points_are_numbered() {
+    let job = GroupRequest::from_json(GROUP.as_bytes()).expect("legal");
+    let nodes: Vec<&str> = job.nodes.keys().map(keys::NodeId::as_str).collect();
+    assert_eq!(nodes, ["down", "left", "right", "up"]);
+    assert_eq!(job.max_skew_us, Some(1000.0));
+    assert_eq!(job.ready_timeout_ms, Some(2500.5));
+    assert_eq!(
+        (job.offline, job.timeout_s),
+        (Some(Offline::Queue), Some(60.0))
+    );
+    // By the order of the nodes' names: `left` comes before `right`.
+    let numbers: Vec<_> = job.barrier_numbers().into_iter().collect();
+    assert_eq!(numbers, [("a", 2), ("b", 1)]);
+    let mut buffer = [0; 512];
+    let bytes = keys::version::encode(&job, &mut buffer).expect("fits");
+    assert_eq!(GroupRequest::from_postcard(bytes), Ok(job));
+    let few = GroupRequest::from_json(br#"{"nodes":{"a":{"lua":""}}}"#).expect("legal");
+    assert_eq!(
+        (few.max_skew_us, few.ready_timeout_ms, few.offline),
+        (None, None, None)
+    );
+}
+
+#[test]
+fn everything_wrong_with_a_synchronized_job_is_named_with_its_place() {
+    use ErrorCode::{BadCommand, BadId, BadJson, TooLarge};
+    let part = r#"{"commands":[{"pause":{"ms":1}}]}"#;
+    let left = |commands: &str| {
+        format!(
+            r#"{{"nodes":{{"a":{part},"left":{{"commands":[{{"lidar_read":{{}}}},{commands}]}}}}}}"#
+        )
+    };
+    let pair = |left: &str, right: &str| {
+        format!(
+            r#"{{"nodes":{{"left":{{"commands":[{left}]}},"right":{{"commands":[{right}]}}}}}}"#
+        )
+    };
+    let field = |field: &str| format!(r#"{{"nodes":{{"a":{part}}},{field}}}"#);
+    let (a, b) = (r#"{"barrier":{"name":"a"}}"#, r#"{"barrier":{"name":"b"}}"#);
+    let many: Vec<String> = (0..=GROUP_NODES_MAX)
+        .map(|number| format!(r#""n{number}":{part}"#))
+        .collect();
+    let cases: &[(String, ErrorCode, &str)] = &[
+        ("[]".into(), BadJson, "a job is a JSON object, not an array"),
+        ("{}".into(), BadJson, "missing field `nodes`"),
+        (
+            r#"{"nodes":{}}"#.into(),
+            BadJson,
+            "nodes: there must be a part for at least one node",
+        ),
+        (
+            r#"{"nodes":[]}"#.into(),
+            BadJson,
+            "nodes: invalid type: sequence, expected an object: a part for each node",
+        ),
+        (
+            r#"{"nodes":{"a":[]}}"#.into(),
+            BadJson,
+            "nodes.a: invalid type: sequence, expected an object",
+        ),
+        (
+            r#"{"nodes":{"a":{}}}"#.into(),
+            BadJson,
+            "nodes.a: a part needs `commands` or `lua`",
+        ),
+        (
+            r#"{"nodes":{"a":{"commands":[],"lua":""}}}"#.into(),
+            BadJson,
+            "nodes.a: a part has either `commands` or `lua`, not both",
+        ),
+        (
+            r#"{"nodes":{"a":{"lua":"","id":"x"}}}"#.into(),
+            BadJson,
+            "nodes.a.id: unknown field `id`",
+        ),
+        (
+            r#"{"nodes":{"A":{"lua":""}}}"#.into(),
+            BadJson,
+            "nodes.A: a name consists of",
+        ),
+        (
+            r#"{"nodes":{"a":{"lua":""},"a":{"lua":""}}}"#.into(),
+            BadJson,
+            "nodes.a: there is a part for this node already",
+        ),
+        (
+            format!(r#"{{"nodes":{{{}}}}}"#, many.join(",")),
+            TooLarge,
+            "nodes: 129 of them; a synchronized job has at most 128",
+        ),
+        (field(r#""id":"A""#), BadId, "id: a name consists of"),
+        (
+            field(r#""max_skew_us":0"#),
+            BadJson,
+            "max_skew_us: 0 is not a time; it must be more than 0",
+        ),
+        (
+            field(r#""ready_timeout_ms":-1"#),
+            BadJson,
+            "ready_timeout_ms: -1 is not a time; it must be more than 0",
+        ),
+        (
+            field(r#""timeout_s":0"#),
+            BadJson,
+            "timeout_s: 0 is not a time",
+        ),
+        (
+            field(r#""max_skew_us":"1""#),
+            BadJson,
+            "max_skew_us: invalid type: string",
+        ),
+        (
+            field(r#""offline":"maybe""#),
+            BadJson,
+            "offline: unknown variant `maybe`",
+        ),
+        (field(r#""skew":1"#), BadJson, "unknown field `skew`"),
+        (
+            r#"{"nodes":{"a":{"commands":[]}}}"#.into(),
+            BadCommand,
+            "nodes.a.commands: the list is empty",
+        ),
+        (
+            left(r#"{"move":{"axis":0,"delay_us":0,"steps":1}}"#),
+            BadCommand,
+            "nodes.left.commands[1].move.delay_us: 0 is out of range",
+        ),
+        (
+            left(r#"{"move":{"axis":0,"delay_us":-1,"steps":1}}"#),
+            BadCommand,
+            "nodes.left.commands[1].move.delay_us: invalid value: integer `-1`, expected u32",
+        ),
+        (
+            left(r#"{"laser":{"power_percent":1},"pause":{"ms":1}}"#),
+            BadCommand,
+            "nodes.left.commands[1]: more than one command in one object at line 1 column",
+        ),
+        (
+            pair(a, r#"{"pause":{"ms":1}}"#),
+            BadCommand,
+            "nodes.left.commands[0].barrier: no other part meets at `a`",
+        ),
+        (
+            pair(&format!("{a},{a}"), a),
+            BadCommand,
+            "nodes.left.commands[1].barrier: `a` is met in commands[0] already",
+        ),
+        (
+            pair(&format!("{a},{b}"), &format!("{b},{a}")),
+            BadCommand,
+            "nodes.left.commands[0].barrier: `a` is never met: another part waits for this one somewhere else",
+        ),
+    ];
+    for (text, code, words) in cases {
+        let error = GroupRequest::from_json(text.as_bytes()).expect_err(text);
+        assert!(
+            error.message.contains(words),
+            "{text}\n  said    {}\n  without {words}",
+            error.message
+        );
+        assert_eq!(error.code, *code, "{text}: {}", error.message);
+    }
+    assert!(
+        GroupRequest::from_json(pair(&format!("{a},{b}"), &format!("{a},{b}")).as_bytes()).is_ok()
+    );
 }
 
 #[test]

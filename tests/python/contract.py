@@ -544,7 +544,6 @@ class Commands(Case):
             },
             {"line": {"steps": [10000, 4000], "speed_hz": 5000, "accel": 10000, "jerk": 100000}},
             {"home": {"axis": 1}},
-            {"barrier": {"name": "layer-2"}},
         ]:
             (word,) = command
             self.refused(
@@ -555,16 +554,9 @@ class Commands(Case):
                 "not supported by this node's firmware",
             )
 
-    def test_a_synchronized_job_is_refused(self):
-        job = {"id": fresh(), "nodes": {self.node: a_job()}}
-        with self.assertRaises(Refused) as caught:
-            get("fleet/group/g1/job", json.dumps(job), JSON)
-        self.assertEqual(caught.exception.code, "bad_command")
-        self.assertIn("not supported by this node's firmware", caught.exception.message)
-        put("fleet/group/g1/job", json.dumps(job), JSON)
-        found = self.finished(job["id"], "rejected")
-        self.assertEqual((found["group"], found["node"]), ("g1", None))
-        self.assertEqual(found["error"]["code"], "bad_command")
+    def test_a_barrier_outside_a_synchronized_job_is_refused_with_the_place(self):
+        job = a_job(move(1), {"barrier": {"name": "layer-2"}})
+        self.refused("bad_command", self.node, job, "commands[1].barrier")
 
     def test_the_largest_numbers_are_taken(self):
         # The longest move that a node can count is 2⁵⁸ µs.
@@ -1616,6 +1608,149 @@ class TheRestart(Case):
         self.assertEqual(world.fixture.pulses(away), 13)
 
 
+def clock_is_known(node):
+    return node_until(
+        node, "known", lambda found: found["clock"] and found["clock"]["error_us"] < 20_000
+    )
+
+
+class Together(Case):
+    """A synchronized job starts on all its nodes at one instant, or on none."""
+
+    def pair(self):
+        nodes = [self.new_node("left"), self.new_node("right")]
+        for node in nodes:
+            clock_is_known(node)
+        return nodes
+
+    def submit(self, nodes, *commands, **fields):
+        parts = {node: {"commands": list(commands or [move(10)])} for node in nodes}
+        job = {"nodes": parts, "max_skew_us": 50_000, **fields}
+        return get_one("fleet/group/g1/job", json.dumps(job), JSON)
+
+    def refused_together(self, code, job, *places):
+        with self.assertRaises(Refused, msg=job) as caught:
+            get("fleet/group/g1/job", json.dumps(job), JSON)
+        self.assertEqual(caught.exception.code, code, caught.exception)
+        for place in places:
+            self.assertIn(place, caught.exception.message)
+
+    def test_two_nodes_start_and_the_record_says_how_far_apart(self):
+        nodes = self.pair()
+        job = fresh()
+        receipt = self.submit(nodes, move(30), move(-10), id=job)
+        self.assertEqual(receipt, {"job": job, "state": "queued"})
+        found = self.finished(job)
+        self.assertEqual((found["node"], found["group"]), (None, "g1"))
+        self.assertEqual(found["progress"], {"done": 4, "total": 4})
+        self.assertEqual(set(found["parts"]), set(nodes))
+        for part in found["parts"].values():
+            self.assertEqual(part["state"], "succeeded")
+            self.assertEqual(part["progress"], {"done": 2, "total": 2})
+            self.assertEqual(part["result"]["position"], [20, 0])
+            self.assertIsNone(part["error"])
+        start = found["start"]
+        self.assertEqual(
+            set(start), {"planned", "skew_us", "by_node_us", "uncertainty_us"}, start
+        )
+        self.assertLess(utc(found["created"]), utc(start["planned"]))
+        self.assertEqual(set(start["by_node_us"]), set(nodes))
+        self.assertEqual(min(start["by_node_us"].values()), 0)
+        self.assertEqual(max(start["by_node_us"].values()), start["skew_us"])
+        self.assertGreater(start["uncertainty_us"], 0)
+        for node in nodes:
+            self.assertEqual(world.fixture.pulses(node), 20)
+        # Once more is not twice.
+        again = self.submit(nodes, move(30), move(-10), id=job)
+        self.assertEqual(again, {"job": job, "state": "succeeded"})
+        self.assertEqual(world.fixture.pulses(nodes[0]), 20)
+
+    def test_by_put_too(self):
+        nodes = self.pair()
+        parts = {node: a_job(move(5)) for node in nodes}
+        job = {"id": fresh(), "nodes": parts, "max_skew_us": 50_000}
+        put("fleet/group/g2/job", json.dumps(job), JSON)
+        self.assertEqual(self.finished(job["id"])["group"], "g2")
+
+    def test_they_meet_at_barriers_and_end_together(self):
+        left, right = self.pair()
+        meet = [{"barrier": {"name": name}} for name in ("one", "two")]
+        job = {
+            "id": fresh(),
+            "nodes": {
+                left: a_job(move(10), meet[0], move(10), meet[1], move(1)),
+                right: a_job(lasting(0.5), meet[0], move(10), meet[1], move(2)),
+            },
+            "max_skew_us": 50_000,
+        }
+        get("fleet/group/g1/job", json.dumps(job), JSON)
+        found = self.finished(job["id"])
+        self.assertEqual(found["progress"], {"done": 10, "total": 10})
+        self.assertEqual(found["parts"][left]["result"]["position"], [21, 0])
+        self.assertEqual(found["parts"][right]["result"]["position"], [1012, 0])
+
+    def test_no_node_moves_when_one_is_not_there(self):
+        left, right = self.pair()
+        down(right)
+        job = {"id": fresh(), "nodes": {left: a_job(), right: a_job()}, "max_skew_us": 50_000}
+        with contextlib.suppress(Refused):
+            get("fleet/group/g1/job", json.dumps(job), JSON)
+            self.finished(job["id"], "failed")
+        self.assertEqual(world.fixture.pulses(left), 0)
+
+    def test_a_clock_that_is_not_known_well_enough_fails_the_job_before_anything_moves(self):
+        nodes = self.pair()
+        job = fresh()
+        self.submit(nodes, id=job, max_skew_us=0.001, ready_timeout_ms=1_000)
+        found = self.finished(job, "failed")
+        self.assertEqual(set(found["parts"]), set(nodes))
+        self.assertNotIn("start", found)
+        for node in nodes:
+            self.assertEqual(world.fixture.pulses(node), 0)
+
+    def test_what_cannot_be_a_synchronized_job_is_refused_with_the_place(self):
+        left, right = self.pair()
+        good = a_job()
+        two = {left: good, right: good}
+        self.refused_together("unknown_node", {"nodes": {left: good, "nobody": good}}, "nobody")
+        self.refused_together("bad_json", {})
+        self.refused_together("bad_json", {"nodes": {}})
+        self.refused_together("bad_json", {"nodes": two, "max_skew_us": 0}, "max_skew_us")
+        self.refused_together("bad_json", {"nodes": two, "ready_timeout_ms": -1})
+        self.refused_together("bad_json", {"nodes": two, "colour": 1}, "colour")
+        bad = a_job(move(1), move(0))
+        place = f"nodes.{right}.commands[1].move.steps"
+        self.refused_together("bad_command", {"nodes": {left: good, right: bad}}, place)
+        alone = a_job(move(1), {"barrier": {"name": "alone"}})
+        self.refused_together(
+            "bad_command", {"nodes": {left: good, right: alone}}, "commands[1].barrier"
+        )
+
+    def test_a_cancel_ends_all_parts(self):
+        nodes = self.pair()
+        job = fresh()
+        self.submit(nodes, lasting(60), id=job)
+        job_until(job, "running")
+        put(f"fleet/job/{job}/cancel")
+        found = self.finished(job, "canceled")
+        for node in nodes:
+            at_rest = world.fixture.pulses(node)
+            self.assertEqual(found["parts"][node]["state"], "canceled")
+            self.assertEqual(found["parts"][node]["result"]["position"], [at_rest, 0])
+
+    def test_a_stop_of_one_stops_the_others(self):
+        left, right = self.pair()
+        job = fresh()
+        self.submit([left, right], lasting(60), id=job)
+        job_until(job, "running")
+        put(f"fleet/node/{left}/stop")
+        found = self.finished(job, "failed")
+        self.assertEqual(found["parts"][left]["error"]["code"], "stopped")
+        self.assertIn(found["parts"][right]["state"], ("canceled", "failed"))
+        self.assertEqual(node_in(left, "stopped")["stopped"]["reason"], "client")
+        self.assertEqual(node_in(right, "idle")["position"], [world.fixture.pulses(right), 0])
+
+
 class ZAllThatWasHeard(Case):
     """Holds for every record that was put while the other tests ran; runs last."""
 
@@ -1623,7 +1758,7 @@ class ZAllThatWasHeard(Case):
         last = {}
         for _, key, encoding, value in world.jobs.all():
             self.assertEqual(encoding, "application/json")
-            self.assertEqual(set(value), JOB_FIELDS, value)
+            self.assertEqual(set(value) - {"start"}, JOB_FIELDS, value)
             self.assertEqual(key, f"fleet/job/{value['job']}")
             self.assertRegex(value["job"], NAME)
             self.assertIn(value["state"], STATES)
@@ -1640,15 +1775,23 @@ class ZAllThatWasHeard(Case):
             if value["state"] == "succeeded":
                 self.assertIsNone(value["error"])
                 self.assertEqual(progress["done"], progress["total"])
-                for position in value["result"]["position"]:
-                    self.assertIs(type(position), int)
+                results = [value["result"]]
+                if value["group"] is not None:
+                    results = [part["result"] for part in value["parts"].values()]
+                    self.assertIn("start", value)
+                for result in results:
+                    for position in result["position"]:
+                        self.assertIs(type(position), int)
             if value["state"] not in FINAL:
                 self.assertIsNone(value["result"], value)
             before = last.get(key)
             # A gateway that has come back says again what is true.
             if before is not None and before != value:
                 self.assertEqual(value["version"], before["version"] + 1, (before, value))
-                self.assertIn(value["state"], NEXT[before["state"]], (before, value))
+                # The whole may stay what it is while a part goes on.
+                goes_on = value["group"] is not None and value["state"] == before["state"]
+                if not goes_on:
+                    self.assertIn(value["state"], NEXT[before["state"]], (before, value))
                 self.assertLessEqual(before["updated"], value["updated"])
                 if before["state"] != "rejected":
                     self.assertEqual(before["created"], value["created"])

@@ -5,7 +5,11 @@ use crate::{
     gateway_process::GatewayProcess,
     network::{Message, Network},
 };
-use emulator::{EmulatedNode, EmulatorConfig, Recording, clock::LocalClock};
+use emulator::{
+    EmulatedNode, EmulatorConfig, Recording,
+    clock::LocalClock,
+    pins::{Pin, PinEvent},
+};
 use gateway::{
     fleet::{
         FleetConfig,
@@ -27,6 +31,9 @@ pub const S: u64 = 1_000_000;
 
 /// One millisecond, µs.
 pub const MS: u64 = 1_000;
+
+/// Ticks of the pulse hardware in one microsecond.
+const TICKS_PER_US: u64 = 16;
 
 /// Changes of pins that are kept for each boot of a node.
 const EDGES_MAX: usize = 2_000_000;
@@ -163,6 +170,28 @@ impl World {
         &self.machines[&NodeId::new(name).expect("legal")].node
     }
 
+    /// Returns when the active edge of this number since boot left a node, in real time, µs; `None`
+    /// if it has not. Real time is what no node and no gateway knows: only the world does. The
+    /// node's clock must not have wandered since.
+    ///
+    /// # Panics
+    /// There is no node of this name.
+    pub fn edge_us(&self, name: &str, number: usize) -> Option<f64> {
+        let machine = &self.machines[&NodeId::new(name).expect("legal")];
+        let rise = rises(&machine.node).nth(number)?;
+        let local_us = LocalMicros(rise.at_ticks / TICKS_PER_US);
+        let real_us = machine.clock.real_from_local(local_us) as f64;
+        Some(real_us + (rise.at_ticks % TICKS_PER_US) as f64 / TICKS_PER_US as f64)
+    }
+
+    /// Returns how many active edges have left a node since its boot.
+    ///
+    /// # Panics
+    /// There is no node of this name.
+    pub fn edge_count(&self, name: &str) -> usize {
+        rises(&self.machines[&NodeId::new(name).expect("legal")].node).count()
+    }
+
     /// Returns the latest record of a job that clients were told.
     ///
     /// # Panics
@@ -180,6 +209,19 @@ impl World {
         let parsed = parse::parse("application/json", job.to_string().as_bytes());
         self.tell(Event::Submit {
             pattern: pattern.to_owned(),
+            request: parsed.request,
+            id_hint: parsed.id_hint,
+            reply: Some(reply),
+        });
+        reply
+    }
+
+    /// Publishes a synchronized job by get.
+    pub fn submit_group(&mut self, group: &str, job: &serde_json::Value) -> ReplyTo {
+        let reply = self.ask();
+        let parsed = parse::parse_group("application/json", job.to_string().as_bytes());
+        self.tell(Event::SubmitGroup {
+            pattern: group.to_owned(),
             request: parsed.request,
             id_hint: parsed.id_hint,
             reply: Some(reply),
@@ -506,4 +548,9 @@ impl World {
             other => panic!("the gateway does not publish on {other:?}"),
         }
     }
+}
+
+fn rises(node: &EmulatedNode) -> impl Iterator<Item = &PinEvent> {
+    let edges = node.edges().iter();
+    edges.filter(|edge| matches!(edge.pin, Pin::Step(_)) && edge.level)
 }

@@ -12,7 +12,7 @@
 //! | queue | bound | when full |
 //! |---|---|---|
 //! | urgent | [`URGENT_EVENTS_MAX`] | dropped and logged: nodes hear a stop themselves, a node that is gone shows by its silence, one that came by its status |
-//! | events | [`EVENTS_MAX`] | a get is answered `internal`, "busy"; a put is dropped and logged: status and ack are said again |
+//! | events | [`EVENTS_MAX`] | a get is answered `internal`, "busy"; a put is dropped and logged: status, ack and start are said again |
 //! | jobs | [`JOBS_WAITING_MAX`], [`JOBS_WAITING_KIB_MAX`] | refused as `internal`, "busy": an error reply, or a record with state `rejected` |
 //! | open gets | [`GETS_OPEN_MAX`] | answered `internal`, "busy" |
 //!
@@ -23,7 +23,7 @@ pub mod zenoh;
 
 use crate::fleet::event::{Event, ReplyTo};
 use keys::{
-    FleetMicros, JobId,
+    FleetMicros,
     record::{ErrorCode, JobError},
 };
 use std::{
@@ -210,7 +210,7 @@ impl Inbox {
             }
             Err(_) => to,
         };
-        self.event(submit_event(refused, Err(busy()), None, reply))
+        self.event(refusal_event(refused, busy(), reply))
     }
 
     /// Counts, and logs at 1, 2, 4, 8, …: a flood must not become one of log lines.
@@ -222,23 +222,19 @@ impl Inbox {
     }
 }
 
-/// Returns the event for a job that has been read or refused.
-pub fn submit_event(
-    to: Addressee,
-    request: Result<keys::job::JobRequest, JobError>,
-    id_hint: Option<JobId>,
-    reply: Option<ReplyTo>,
-) -> Event {
+/// Returns the event for a job that was not read.
+pub fn refusal_event(to: Addressee, error: JobError, reply: Option<ReplyTo>) -> Event {
     match to {
         Addressee::Node(pattern) => Event::Submit {
             pattern,
-            request,
-            id_hint,
+            request: Err(error),
+            id_hint: None,
             reply,
         },
         Addressee::Group(pattern) => Event::SubmitGroup {
             pattern,
-            id_hint,
+            request: Err(error),
+            id_hint: None,
             reply,
         },
     }

@@ -6,13 +6,13 @@
 //!            ├──▶│    network): jobs, records, orders      │
 //!  nodes  ───┘   │       ▲ loopback TCP                    │
 //!                │  swift session (client): stop, release, │
-//!                │       clock                             │
+//!                │       clock, start                      │
 //!                └─────────────────────────────────────────┘
 //! ```
 //!
 //! Two sessions, because a blocking message for a peer that takes nothing holds up all others of
-//! the same session until that peer's link is closed. Stops and clock probes must not wait for
-//! that: they have a session, and a real-time lane in every link, of their own. Releases are heard by
+//! the same session until that peer's link is closed. Stops, clock probes and starts must not wait
+//! for that: they have a session, and a real-time lane in every link, of their own. Releases are heard by
 //! the same session, so that none overtakes the stop that its client sent before it.
 //!
 //! What is heard is sorted in `ear.rs`. Deliberately absent: any decision about jobs and nodes.
@@ -234,11 +234,12 @@ impl Bus {
             // By the way of the stop, so that it stays behind the stop that its client sent before.
             (&self.swift, Door::Node(NodeTopic::Release)),
             (&self.swift, Door::Node(NodeTopic::Clock)),
+            (&self.swift, Door::Node(NodeTopic::Start)),
         ] {
             let ear = ear(door);
             let subscriber = session
                 .declare_subscriber(door.key(&self.keys))
-                // What the gateway itself says on stop and clock is for the nodes.
+                // What the gateway itself says on stop, clock and start is for the nodes.
                 .allowed_origin(Locality::Remote)
                 .callback(move |sample| ear.put(&sample))
                 .await
@@ -317,7 +318,7 @@ impl Bus {
             CongestionControl::Block
         };
         let (session, priority, express) = match lane {
-            Lane::RealTime => (&self.swift, Priority::RealTime, true),
+            Lane::RealTime | Lane::Commit => (&self.swift, Priority::RealTime, true),
             Lane::Order => (&self.main, Priority::Data, false),
             Lane::Record => (&self.main, Priority::Data, false),
         };

@@ -3,10 +3,15 @@
 //!
 //! [`Fleet::handle`](super::Fleet::handle) takes one [`Event`] and appends [`Effect`]s. The shell
 //! carries effects out strictly in order, with one rule: nothing behind a [`Effect::Persist`]
-//! leaves before that write is on disk. [`Lane::RealTime`] is the exception that proves it: stops
-//! and clock probes depend on no write and overtake everything.
+//! leaves before that write is on disk. [`Lane::RealTime`] is the exception that proves it: stops,
+//! clock probes, and what is said of a start whose plan is durable depend on no write and overtake
+//! everything.
 
-use keys::{JobId, NodeId, NodeTopic, StopMode, job::JobRequest, record::JobError};
+use keys::{
+    JobId, NodeId, NodeTopic, StopMode,
+    job::{GroupRequest, JobRequest},
+    record::JobError,
+};
 
 /// Names a client's get until its last reply; given by the shell, never used twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -30,7 +35,9 @@ pub enum Event {
     SubmitGroup {
         /// A group's name, or a wild chunk.
         pattern: String,
-        /// The id that it gives, if it can be found.
+        /// The job, read and checked by [`crate::job::parse`], or why it is none.
+        request: Result<GroupRequest, JobError>,
+        /// The id that a refused job gives, if it can be found.
         id_hint: Option<JobId>,
         /// Who waits for a receipt.
         reply: Option<ReplyTo>,
@@ -79,8 +86,8 @@ pub enum Event {
         /// Whether the token is there.
         alive: bool,
     },
-    /// Bytes from a node on its `status`, `ack` or `clock` key. Replies on `clock` only: the
-    /// shell drops what the gateway itself said there.
+    /// Bytes from a node on its `status`, `ack`, `clock` or `start` key. What the gateway itself
+    /// said on the last two, the shell drops.
     FromNode {
         /// The node.
         node: NodeId,
@@ -96,8 +103,11 @@ pub enum Event {
 /// Which way a message to a node or a client takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Lane {
-    /// Stop and clock: a session of their own, real-time priority, express, never behind a write.
+    /// Stop, clock and start: a session of their own, real-time priority, express, never behind a
+    /// write.
     RealTime,
+    /// The commit of a start: the same way, but behind the write of its plan.
+    Commit,
     /// Orders to nodes: blocking congestion control, bounded by credit.
     Order,
     /// Records and states for clients.

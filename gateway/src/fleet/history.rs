@@ -113,10 +113,11 @@ impl<'p> Filter<'p> {
     }
 
     fn takes(&self, job: &Job) -> bool {
-        let node = job.node();
+        let parts = job.entry.record.parts.iter().flat_map(|parts| parts.keys());
+        let mut nodes = job.entry.record.node.iter().chain(parts);
         self.state.is_none_or(|state| state == job.state())
             && self
                 .node
-                .is_none_or(|pattern| node.is_some_and(|id| pattern.matches(id.as_str())))
+                .is_none_or(|pattern| nodes.any(|id| pattern.matches(id.as_str())))
     }
 }

@@ -3,9 +3,11 @@
 //! ```text
 //!   Event ─▶ handle ─┬─ clients' wishes ─▶ submit · cancel · stop · release · history
 //!                    ├─ nodes' words ────▶ Node::handle_status · handle_ack · handle_clock
-//!                    └─ time ────────────▶ the nodes whose hour has come
+//!                    └─ time ────────────▶ the nodes and groups whose hour has come
 //!                          then, for each node that was touched:
 //!                    Node::poll ─▶ next job, batches, cancels, probes, record ─▶ Effects
+//!                          and at the end, for each synchronized job that was touched:
+//!                    settle ─▶ commit, confirm, abort, the end of all parts ─▶ Effects
 //! ```
 //!
 //! Owns the order of things: an [`Effect::Persist`] stands before every message that depends on
@@ -17,27 +19,33 @@
 
 pub mod clock;
 pub mod event;
+mod group;
 mod history;
 pub mod node;
 pub mod pattern;
 mod restore;
 pub mod route;
+pub mod start;
 mod submit;
+mod timers;
 
 pub use history::{LIMIT_DEFAULT, LIMIT_MAX};
 pub use restore::{RestoreError, Stored};
 
-use crate::job::{Job, book::Book};
+use crate::job::{Ending, Job, book::Book};
 use event::{Effect, Event, ReplyTo};
+use group::Group;
 use keys::{
-    BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, Status,
+    BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, Status, StopMode,
     clock::ClockMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
+    start::StartMessage,
     version,
 };
 use node::{Node, Turn};
 use pattern::Pattern;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use timers::Timers;
 
 /// Every number of the fleet, with its reason.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,9 +108,14 @@ pub struct Fleet {
     config: FleetConfig,
     book: Book,
     nodes: BTreeMap<NodeId, Node>,
-    /// When each node's [`Node::poll`] is due, once in each direction.
-    timers: BTreeSet<(FleetMicros, NodeId)>,
-    due: HashMap<NodeId, FleetMicros>,
+    /// When each node's [`Node::poll`] is due.
+    timers: Timers<NodeId>,
+    /// Synchronized jobs that are not final.
+    groups: HashMap<JobId, Group>,
+    /// Those of which a part was sent.
+    started: BTreeSet<JobId>,
+    group_timers: Timers<JobId>,
+    split_start_count: u64,
     /// Gets on `release` and how many nodes still have to answer.
     releases: HashMap<ReplyTo, usize>,
     now: FleetMicros,
@@ -122,8 +135,11 @@ impl Fleet {
             book: Book::new(config.keys.clone(), config.retention_jobs),
             config,
             nodes: BTreeMap::new(),
-            timers: BTreeSet::new(),
-            due: HashMap::new(),
+            timers: Timers::default(),
+            groups: HashMap::new(),
+            started: BTreeSet::new(),
+            group_timers: Timers::default(),
+            split_start_count: 0,
             releases: HashMap::new(),
             now: FleetMicros(0),
             started_at: None,
@@ -150,9 +166,10 @@ impl Fleet {
             } => self.submit(&pattern, request, id_hint, reply, effects),
             Event::SubmitGroup {
                 pattern,
+                request,
                 id_hint,
                 reply,
-            } => self.submit_group(&pattern, id_hint, reply, effects),
+            } => self.submit_group(&pattern, request, id_hint, reply, effects),
             Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
             Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
             Event::Stop { pattern, mode } => {
@@ -178,19 +195,20 @@ impl Fleet {
                 payload,
             } => self.hear(node, topic, &payload, happened_at, effects),
             Event::Tick => {
-                while let Some((_, id)) = self.timers.first().copied().filter(|(at, _)| *at <= now)
-                {
+                while let Some(id) = self.timers.take_due(now) {
                     self.with_node(id, effects, |_, _| {});
                 }
             }
         }
+        self.settle(effects);
     }
 
     /// Returns when [`Event::Tick`] is due: call [`Fleet::handle`] with the `now` of that call, and
     /// ask again. At most one clock probe leaves in each call, because a probe's stamp is the
     /// `now` of its call, so this may be due again at once.
     pub fn poll_timeout(&self) -> Option<FleetMicros> {
-        self.timers.first().map(|(at, _)| *at)
+        let due = [self.timers.first(), self.group_timers.first()];
+        due.into_iter().flatten().min()
     }
 
     /// Returns every job, newest first.
@@ -222,6 +240,12 @@ impl Fleet {
     /// Returns how many messages were no messages, or came from more nodes than can be known.
     pub fn ignored_count(&self) -> u64 {
         self.ignored_count
+    }
+
+    /// Returns how many synchronized jobs ended during their start although some nodes had passed
+    /// it, or may have: see [`start`].
+    pub fn split_start_count(&self) -> u64 {
+        self.split_start_count
     }
 
     // ───────────────────────────── nodes ─────────────────────────────
@@ -262,6 +286,10 @@ impl Fleet {
                 Ok(ClockMessage::Probe(_)) => {}
                 Err(_) => self.ignored_count += 1,
             },
+            NodeTopic::Start => match version::decode::<StartMessage>(payload) {
+                Ok(message) => self.hear_start(id, &message, effects),
+                Err(_) => self.ignored_count += 1,
+            },
             _ => {}
         }
     }
@@ -291,14 +319,10 @@ impl Fleet {
         self.may_probe = turn.may_probe;
         let released = turn.released;
         let due = node.poll_timeout(&self.book, &self.config);
-        if let Some(at) = self.due.remove(&id) {
-            self.timers.remove(&(at, id));
-        }
-        if let Some(at) = due {
-            // A timer that is due already would be called again without time having passed.
-            let at = at.max(FleetMicros(self.now.0 + 1));
-            self.timers.insert((at, id));
-            self.due.insert(id, at);
+        let active = node.active();
+        self.timers.set(id, due, self.now);
+        if let Some(job) = active.filter(|job| self.groups.contains_key(job)) {
+            self.book.touch(&job);
         }
         for release in released {
             let reply = match release.outcome {
@@ -419,8 +443,16 @@ impl Fleet {
                 .collect(),
         };
         for id in jobs {
-            if let Some(node) = self.book.get(&id).and_then(Job::node) {
-                self.with_node(node, effects, |node, turn| node.cancel_job(&id, turn));
+            match self.book.get(&id) {
+                Some(job) if job.is_group() => self.cancel_group(&id, effects),
+                Some(job) => {
+                    if let Some(node) = job.node() {
+                        self.with_node(node, effects, |node, turn| {
+                            node.end_job(&id, Ending::Cancel, StopMode::Decelerate, turn);
+                        });
+                    }
+                }
+                None => {}
             }
             if let Some(to) = reply {
                 effects.extend(self.job_reply(&id, to));

@@ -31,7 +31,7 @@ use super::{
     event::{Effect, Lane, ReplyTo},
     route::{RoundTrip, Route},
 };
-use crate::job::{Change, Ending, Job, book::Book};
+use crate::job::{Change, Ending, Job, book::Book, group::Passed};
 use keys::{
     Fault, Features, FleetMicros, JobId, Keys, NodeId, NodeTopic, QueueId, Status, StopMode,
     StopReason,
@@ -68,6 +68,9 @@ pub struct Facts {
     pub pending_stop: Option<StopMode>,
     /// The queue that must be dropped before any other job may go to it.
     pub drop_queue: Option<QueueId>,
+    /// It must be dropped at once, without a ramp.
+    #[serde(default)]
+    pub drop_halts: bool,
 }
 
 /// A stop latch as it was seen.
@@ -277,17 +280,34 @@ impl Node {
         }
         self.active = Some(job.id());
         if let (Some(_), Some(activation)) = (&job.entry.ending, job.entry.activation) {
+            self.facts.drop_halts &= self.facts.drop_queue == Some(activation.queue);
             self.facts.drop_queue = Some(activation.queue);
         }
         Ok(())
     }
 
-    /// Returns why these commands are not for this node.
+    /// Returns its queue and how many of that queue's commands have ended; `None` while it is
+    /// not there.
+    pub(super) fn numbers(&self) -> Option<(QueueId, u64)> {
+        let known = self.alive && self.status.is_some();
+        known.then_some((self.facts.queue, self.executed))
+    }
+
+    /// Returns why these commands are not for this node, as a part of a synchronized job or as a
+    /// job of its own.
     ///
     /// # Errors
     /// The first command that it cannot carry out, with its place.
-    pub(super) fn check(&self, commands: &[keys::Command]) -> Result<(), JobError> {
+    pub(super) fn check(
+        &self,
+        commands: &[keys::Command],
+        synchronized: bool,
+    ) -> Result<(), JobError> {
         let axis_count = self.axis_count();
+        if synchronized && !self.facts.features.has(Features::BARRIERS) {
+            let message = "synchronized jobs are not supported by this node's firmware";
+            return Err(JobError::new(ErrorCode::BadCommand, message));
+        }
         for (index, command) in commands.iter().enumerate() {
             let word = word_of(command);
             if !self.facts.features.has(command.feature()) {
@@ -295,7 +315,9 @@ impl Node {
                     format!("commands[{index}].{word}: not supported by this node's firmware");
                 return Err(JobError::new(ErrorCode::BadCommand, message));
             }
-            if let keys::Command::Barrier { .. } = command {
+            if let keys::Command::Barrier { .. } = command
+                && !synchronized
+            {
                 let message =
                     format!("commands[{index}].{word}: only a synchronized job can have one");
                 return Err(JobError::new(ErrorCode::BadCommand, message));
@@ -317,51 +339,67 @@ impl Node {
         Ok(())
     }
 
-    /// Cancels a job of this node that is not final.
-    pub(super) fn cancel_job(&mut self, id: &JobId, turn: &mut Turn<'_>) {
-        let Some(job) = turn.book.get(id) else {
+    /// Ends a job of this node, or its part of one, that is not final. `mode`: how a node that
+    /// moves comes to rest.
+    pub(super) fn end_job(
+        &mut self,
+        id: &JobId,
+        ending: Ending,
+        mode: StopMode,
+        turn: &mut Turn<'_>,
+    ) {
+        let Some(job) = turn.book.part(id, self.id) else {
             return;
         };
         let (state, activation) = (job.state(), job.entry.activation);
         match state {
             JobState::Queued => {
                 self.waiting.retain(|waiting| waiting != id);
-                let change = Change::to(JobState::Canceled);
-                turn.book.change(id, change, turn.now, turn.effects);
+                let change = ending.change();
+                turn.book
+                    .change(id, self.id, change, turn.now, turn.effects);
             }
             JobState::Lost => {
                 // The node may still have commands of it: they must be dropped before it gets
                 // others. That is written down before the job is called over.
                 if let Some(activation) = activation {
-                    self.drop_queue(activation.queue, turn);
+                    self.drop_queue(activation.queue, mode, turn);
                 }
-                self.finish_active(Change::to(JobState::Canceled), turn);
+                turn.book.prepare(id, self.id, |part| {
+                    if part.passed == Passed::No {
+                        part.passed = Passed::Unknown;
+                    }
+                });
+                self.finish_active(ending.change(), turn);
             }
-            JobState::Sent | JobState::Running => self.end_active(Ending::Cancel, turn),
+            JobState::Sent | JobState::Running => self.end_active(ending, mode, turn),
             _ => {}
         }
     }
 
     /// Makes the active job end: the node drops its queue, and its report is the outcome.
-    fn end_active(&mut self, ending: Ending, turn: &mut Turn<'_>) {
+    fn end_active(&mut self, ending: Ending, mode: StopMode, turn: &mut Turn<'_>) {
         let Some(id) = self.active else { return };
-        let Some(job) = turn.book.get(&id) else {
+        let Some(job) = turn.book.part(&id, self.id) else {
             return;
         };
         let Some(activation) = job.entry.activation else {
             return;
         };
         if job.entry.ending.is_none() {
-            turn.book
-                .edit(&id, |entry| entry.ending = Some(ending), turn.effects);
+            let edit = |part: &mut Job| part.entry.ending = Some(ending);
+            turn.book.edit(&id, self.id, edit, turn.effects);
         }
         self.stop_route();
-        self.drop_queue(activation.queue, turn);
+        self.drop_queue(activation.queue, mode, turn);
     }
 
-    fn drop_queue(&mut self, queue: QueueId, turn: &mut Turn<'_>) {
-        if self.facts.drop_queue != Some(queue) {
+    fn drop_queue(&mut self, queue: QueueId, mode: StopMode, turn: &mut Turn<'_>) {
+        let halts = mode == StopMode::Halt;
+        let known = self.facts.drop_queue == Some(queue);
+        if !known || (halts && !self.facts.drop_halts) {
             self.facts.drop_queue = Some(queue);
+            self.facts.drop_halts = halts;
             self.cancel = Repeat::default();
             self.store(turn);
         }
@@ -370,7 +408,8 @@ impl Node {
     fn finish_active(&mut self, change: Change, turn: &mut Turn<'_>) {
         let Some(id) = self.active.take() else { return };
         self.stop_route();
-        turn.book.change(&id, change, turn.now, turn.effects);
+        turn.book
+            .change(&id, self.id, change, turn.now, turn.effects);
         self.stale_record = true;
     }
 
@@ -383,7 +422,8 @@ impl Node {
     fn fail_waiting(&mut self, error: &JobError, turn: &mut Turn<'_>) {
         while let Some(id) = self.waiting.pop_front() {
             let change = Change::to(JobState::Failed).error(error.clone());
-            turn.book.change(&id, change, turn.now, turn.effects);
+            turn.book
+                .change(&id, self.id, change, turn.now, turn.effects);
         }
     }
 

@@ -8,11 +8,15 @@
 use super::{
     Fleet, FleetConfig, LIMIT_DEFAULT,
     event::{Effect, Table, Write},
+    group::{Group, new_part, parts_of},
     node::{Facts, Node},
     submit::commands_of,
 };
 use crate::job::{Job, JobEntry};
-use keys::{FleetMicros, JobId, NodeId, job::JobRequest};
+use keys::{
+    FleetMicros, JobId, NodeId,
+    job::{GroupRequest, JobRequest},
+};
 use std::{collections::HashMap, sync::Arc};
 
 /// Everything that is in the store: key and value of each table.
@@ -100,6 +104,7 @@ impl Fleet {
         for id in nodes {
             fleet.with_node(id, effects, |_, _| {});
         }
+        fleet.settle(effects);
         Ok(fleet)
     }
 
@@ -115,21 +120,25 @@ impl Fleet {
             self.book.restore(Job::new(entry, Arc::new([])));
             return Ok(());
         }
-        let node = entry.record.node.ok_or_else(|| RestoreError::Job {
-            job: name(),
-            why: "it is not final and names no node".into(),
-        })?;
         let bytes = requests
             .remove(&name())
             .ok_or_else(|| RestoreError::Request {
                 job: name(),
                 why: "there is none".into(),
             })?;
-        let request = keys::version::decode::<JobRequest>(&bytes);
-        let request = request.map_err(|error| RestoreError::Request {
-            job: name(),
+        let bad_request = |error: keys::status::DecodeError| RestoreError::Request {
+            job: id.to_string(),
             why: error.to_string(),
+        };
+        if entry.group.is_some() {
+            let request = keys::version::decode::<GroupRequest>(&bytes).map_err(bad_request)?;
+            return self.restore_group(entry, &request, now);
+        }
+        let node = entry.record.node.ok_or_else(|| RestoreError::Job {
+            job: name(),
+            why: "it is not final and names no node".into(),
         })?;
+        let request = keys::version::decode::<JobRequest>(&bytes).map_err(bad_request)?;
         let commands = commands_of(&request);
         if commands.len() as u64 != entry.record.progress.total {
             return Err(RestoreError::Request {
@@ -142,19 +151,73 @@ impl Fleet {
             });
         }
         let job = Job::new(entry, commands);
+        self.restore_on(node, &job, now)?;
+        self.book.restore(job);
+        Ok(())
+    }
+
+    /// Gives a job or a part back to its node.
+    fn restore_on(
+        &mut self,
+        node: NodeId,
+        job: &Job,
+        now: FleetMicros,
+    ) -> Result<(), RestoreError> {
         let view = self
             .nodes
             .entry(node)
             .or_insert_with(|| Node::new(node, None, now));
         if job.entry.activation.is_some() {
-            view.resume(&job).map_err(|other| RestoreError::Job {
-                job: name(),
+            view.resume(job).map_err(|other| RestoreError::Job {
+                job: job.id().to_string(),
                 why: format!("node {node} has job {other} already"),
             })?;
         } else {
-            view.enqueue(id);
+            view.enqueue(job.id());
         }
+        Ok(())
+    }
+
+    fn restore_group(
+        &mut self,
+        entry: JobEntry,
+        request: &GroupRequest,
+        now: FleetMicros,
+    ) -> Result<(), RestoreError> {
+        let id = entry.record.job;
+        let mut job = Job::new(entry, Arc::new([]));
+        for (node, commands) in parts_of(request) {
+            let group = job.entry.group.as_ref();
+            let stored = group.and_then(|group| group.parts.get(&node)).cloned();
+            let parts = job.entry.record.parts.as_ref();
+            let record = parts.and_then(|parts| parts.get(&node)).cloned();
+            let (Some(stored), Some(record)) = (stored, record) else {
+                return Err(RestoreError::Job {
+                    job: id.to_string(),
+                    why: format!("its entry lacks the part of node {node}"),
+                });
+            };
+            let mut part = new_part(&job.entry, node, commands);
+            part.passed = stored.passed;
+            part.entry.activation = stored.activation;
+            part.entry.ending = stored.ending;
+            part.entry.record.state = record.state;
+            part.entry.record.progress = record.progress;
+            part.entry.record.error = record.error;
+            part.entry.record.result = record.result;
+            if record.state.is_final() {
+                part.commands = Arc::new([]);
+            } else {
+                self.restore_on(node, &part, now)?;
+            }
+            job.parts.insert(node, part);
+        }
+        // A start that was under way is not measured any more: its words may have been missed.
+        let group = job.entry.group.as_ref();
+        job.measuring = group.is_some_and(|group| !group.started && group.planned.is_empty());
+        self.groups.insert(id, Group::new(request));
         self.book.restore(job);
+        self.book.touch(&id);
         Ok(())
     }
 }

@@ -18,9 +18,9 @@ use crate::job::{Job, JobEntry, new_record};
 use keys::{
     Command, Features, GroupId, JobId, NodeId, NodeTopic,
     job::{JobRequest, Offline, Work},
-    record::{ErrorCode, JobError, JobState, Receipt, to_json},
+    record::{ErrorCode, JobError, JobState, PartRecord, Receipt, to_json},
 };
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 /// A job that is made ready for several nodes.
 struct Prepared {
@@ -48,30 +48,12 @@ impl Fleet {
         // A refused job's record names its node even if nobody has ever seen it.
         let node = name.and_then(|name| NodeId::new(name).ok());
         match request {
-            Err(error) => self.refuse(error, id_hint, node, None, reply, effects),
+            Err(error) => self.refuse(error, id_hint, node, None, None, reply, effects),
             Ok(request) => match name {
                 Some(_) => self.submit_to_one(pattern, node, &request, reply, effects),
                 None => self.submit_to_each(pattern, &request, reply, effects),
             },
         }
-        if let Some(to) = reply {
-            effects.push(Effect::ReplyEnd { to });
-        }
-    }
-
-    pub(super) fn submit_group(
-        &mut self,
-        pattern: &str,
-        id_hint: Option<JobId>,
-        reply: Option<ReplyTo>,
-        effects: &mut Vec<Effect>,
-    ) {
-        let error = JobError::new(
-            ErrorCode::BadCommand,
-            "synchronized jobs are not supported by this node's firmware",
-        );
-        let group = GroupId::new(pattern).ok();
-        self.refuse(error, id_hint, None, group, reply, effects);
         if let Some(to) = reply {
             effects.push(Effect::ReplyEnd { to });
         }
@@ -112,7 +94,7 @@ impl Fleet {
         alive.retain(|id| self.nodes[id].is_alive());
         if alive.is_empty() {
             let error = self.nobody(pattern);
-            return self.refuse(error, request.id, None, None, reply, effects);
+            return self.refuse(error, request.id, None, None, None, reply, effects);
         }
         let prepared = prepare(request);
         for node in alive {
@@ -154,7 +136,7 @@ impl Fleet {
         if prepared.script {
             check_script(view.facts().features)?;
         }
-        view.check(&prepared.commands)?;
+        view.check(&prepared.commands, false)?;
         if view.is_stopped() {
             let message = format!("node {node} is stopped; release it first");
             return Err(JobError::new(ErrorCode::Stopped, message));
@@ -185,6 +167,7 @@ impl Fleet {
             activation: None,
             ending: None,
             timeout_us: prepared.timeout_us,
+            group: None,
         };
         let job = Job::new(entry, prepared.commands.clone());
         self.book
@@ -207,7 +190,7 @@ impl Fleet {
                 self.with_node(node, effects, |node, _| node.enqueue(id));
             }
             (Ok(_), None) => unreachable!("a job is accepted for a node only"),
-            (Err(error), _) => self.refuse(error, named, node, None, reply, effects),
+            (Err(error), _) => self.refuse(error, named, node, None, None, reply, effects),
         }
     }
 
@@ -252,12 +235,14 @@ impl Fleet {
     }
 
     /// Refuses a job: a get is told, a put leaves a record.
-    fn refuse(
+    #[expect(clippy::too_many_arguments, reason = "a record in words")]
+    pub(super) fn refuse(
         &mut self,
         error: JobError,
         named: Option<JobId>,
         node: Option<NodeId>,
         group: Option<GroupId>,
+        parts: Option<BTreeMap<NodeId, PartRecord>>,
         reply: Option<ReplyTo>,
         effects: &mut Vec<Effect>,
     ) {
@@ -273,6 +258,7 @@ impl Fleet {
         let mut record = new_record(id, node, JobState::Rejected, 0, self.now);
         record.version += self.version_of_rejected(&id);
         record.group = group;
+        record.parts = parts;
         record.error = Some(error);
         let entry = JobEntry {
             record,
@@ -280,18 +266,19 @@ impl Fleet {
             activation: None,
             ending: None,
             timeout_us: None,
+            group: None,
         };
         self.book
             .insert(Job::new(entry, Arc::new([])), None, effects);
     }
 
-    fn version_of_rejected(&self, id: &JobId) -> u64 {
+    pub(super) fn version_of_rejected(&self, id: &JobId) -> u64 {
         self.book.get(id).map_or(0, |job| job.entry.record.version)
     }
 
     /// Makes a name that sorts by time: 11 digits of microseconds to the base 32, which last for
     /// a thousand years, and 2 by chance, so that two gateways do not make the same.
-    fn make_id(&mut self) -> JobId {
+    pub(super) fn make_id(&mut self) -> JobId {
         const DIGITS: &[u8; 32] = b"0123456789abcdefghijklmnopqrstuv";
         loop {
             self.last_made_us = self.now.0.max(self.last_made_us + 1);
@@ -345,7 +332,7 @@ fn stored_request(request: &JobRequest) -> Vec<u8> {
 }
 
 /// Scripts are run by nodes, and no order carries one yet.
-fn check_script(features: Features) -> Result<(), JobError> {
+pub(super) fn check_script(features: Features) -> Result<(), JobError> {
     let message = if features.has(Features::LUA) {
         "lua: this gateway cannot send scripts to nodes"
     } else {

@@ -9,7 +9,7 @@
 
 use super::{Change, Job, JobEntry};
 use crate::fleet::event::{Effect, Lane, Table, Write};
-use keys::{FleetMicros, JobId, Keys, record::to_json};
+use keys::{FleetMicros, JobId, Keys, NodeId, record::to_json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The jobs.
@@ -24,6 +24,8 @@ pub struct Book {
     finals: BTreeSet<(FleetMicros, u64)>,
     next_sequence: u64,
     held_commands: usize,
+    /// Synchronized jobs of which a part has changed since somebody looked.
+    touched: BTreeSet<JobId>,
 }
 
 impl Book {
@@ -37,6 +39,7 @@ impl Book {
             finals: BTreeSet::new(),
             next_sequence: 1,
             held_commands: 0,
+            touched: BTreeSet::new(),
         }
     }
 
@@ -48,6 +51,16 @@ impl Book {
     /// Returns the job of this name.
     pub fn get(&self, id: &JobId) -> Option<&Job> {
         self.jobs.get(id)
+    }
+
+    /// Returns what a node has to do for a job: its part of a synchronized one, else the job.
+    pub fn part(&self, id: &JobId, node: NodeId) -> Option<&Job> {
+        let job = self.jobs.get(id)?;
+        if job.is_group() {
+            job.parts.get(&node)
+        } else {
+            Some(job)
+        }
     }
 
     /// Returns every job, newest first.
@@ -100,21 +113,62 @@ impl Book {
         self.prune(effects);
     }
 
-    /// Changes a job's record, writes it and tells it.
+    /// Changes what a node does for a job, writes the record that follows and tells it.
     ///
     /// # Panics
     /// There is no such job, or the change is not legal.
     pub fn change(
         &mut self,
         id: &JobId,
+        node: NodeId,
         change: Change,
         now: FleetMicros,
         effects: &mut Vec<Effect>,
     ) {
+        let part = self.part_mut(id, node);
+        let held_before = part.commands.len();
+        part.change(change, now);
+        let held = part.commands.len();
+        self.held_commands -= held_before - held;
+        if self.jobs[id].is_group() {
+            self.touched.insert(*id);
+            self.gather(id, now, effects);
+        } else {
+            self.tell_change(id, now, effects);
+        }
+    }
+
+    /// Makes the record of a synchronized job from its parts anew, writes it and tells it.
+    ///
+    /// # Panics
+    /// There is no such job.
+    pub fn gather(&mut self, id: &JobId, now: FleetMicros, effects: &mut Vec<Effect>) {
         let job = self.jobs.get_mut(id).expect("the caller has found the job");
-        let held_before = job.commands.len();
-        job.change(change, now);
-        self.held_commands -= held_before - job.commands.len();
+        job.gather(now);
+        self.tell_change(id, now, effects);
+    }
+
+    /// Notes how far a part is without telling it: the next version of the record does.
+    pub fn note_done(&mut self, id: &JobId, node: NodeId, done: u64) {
+        let job = self.jobs.get_mut(id).filter(|job| job.is_group());
+        if let Some(part) = job.and_then(|job| job.parts.get_mut(&node)) {
+            let progress = &mut part.entry.record.progress;
+            progress.done = progress.done.max(done);
+        }
+    }
+
+    /// Says that something about a synchronized job's nodes is news.
+    pub fn touch(&mut self, id: &JobId) {
+        self.touched.insert(*id);
+    }
+
+    /// Returns a synchronized job of which something is news, once.
+    pub fn take_touched(&mut self) -> Option<JobId> {
+        self.touched.pop_first()
+    }
+
+    fn tell_change(&mut self, id: &JobId, now: FleetMicros, effects: &mut Vec<Effect>) {
+        let job = self.jobs.get_mut(id).expect("the caller has found the job");
         let is_final = job.state().is_final();
         if is_final {
             let place = (job.entry.record.updated, job.entry.sequence);
@@ -131,18 +185,34 @@ impl Book {
         }
     }
 
-    /// Edits what clients do not see, and writes it. The record itself must stay as it is.
+    /// Edits what clients do not see of a node's part, and writes it. The record itself must stay
+    /// as it is.
     ///
     /// # Panics
     /// There is no such job.
     pub fn edit(
         &mut self,
         id: &JobId,
-        edit: impl FnOnce(&mut JobEntry),
+        node: NodeId,
+        edit: impl FnOnce(&mut Job),
+        effects: &mut Vec<Effect>,
+    ) {
+        self.prepare(id, node, edit);
+        self.edit_whole(id, Job::note_parts, effects);
+    }
+
+    /// Edits what clients do not see of a whole job, and writes it.
+    ///
+    /// # Panics
+    /// There is no such job.
+    pub fn edit_whole(
+        &mut self,
+        id: &JobId,
+        edit: impl FnOnce(&mut Job),
         effects: &mut Vec<Effect>,
     ) {
         let job = self.jobs.get_mut(id).expect("the caller has found the job");
-        edit(&mut job.entry);
+        edit(job);
         let value = to_json(&job.entry);
         effects.push(Effect::Persist(put(id, value)));
     }
@@ -151,9 +221,26 @@ impl Book {
     ///
     /// # Panics
     /// There is no such job.
-    pub fn prepare(&mut self, id: &JobId, edit: impl FnOnce(&mut JobEntry)) {
+    pub fn prepare(&mut self, id: &JobId, node: NodeId, edit: impl FnOnce(&mut Job)) {
+        edit(self.part_mut(id, node));
+    }
+
+    /// Edits a whole job; a [`Book::gather`] follows and writes it.
+    ///
+    /// # Panics
+    /// There is no such job.
+    pub fn prepare_whole(&mut self, id: &JobId, edit: impl FnOnce(&mut Job)) {
+        edit(self.jobs.get_mut(id).expect("the caller has found the job"));
+    }
+
+    fn part_mut(&mut self, id: &JobId, node: NodeId) -> &mut Job {
         let job = self.jobs.get_mut(id).expect("the caller has found the job");
-        edit(&mut job.entry);
+        if job.is_group() {
+            let part = job.parts.get_mut(&node);
+            part.expect("a node has only jobs with a part for it")
+        } else {
+            job
+        }
     }
 
     /// Tells every record that is not final and the `final_count` ones that ended last again, as
@@ -190,7 +277,8 @@ impl Book {
         if job.state().is_final() {
             self.finals.insert((job.entry.record.updated, sequence));
         }
-        self.held_commands += job.commands.len();
+        let parts = job.parts.values().map(|part| part.commands.len());
+        self.held_commands += job.commands.len() + parts.sum::<usize>();
         self.history.insert(sequence, id);
         self.jobs.insert(id, job);
     }

@@ -17,16 +17,21 @@
 //! cut from the stored request in the same order each time. So what must be durable before
 //! anything is published is the job itself and its [`Activation`]: which queue, and the number of
 //! its first command there. After a restart the place to go on is `accepted_commands - base`.
+//!
+//! A synchronized job has a part for each of its nodes, which is a [`Job`] of the same name: what
+//! `group` says of both.
 
 pub mod book;
+pub mod group;
 pub mod parse;
 
+use group::{GroupEntry, Passed};
 use keys::{
     Command, FleetMicros, JobId, NodeId, QueueId,
     record::{JobError, JobRecord, JobResult, JobState, Progress},
 };
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 /// Where a job's commands are on its node. Durable before the first of them is published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,6 +55,18 @@ pub enum Ending {
     Fail(JobError),
 }
 
+impl Ending {
+    /// Returns the change that it leads to.
+    pub fn change(&self) -> Change {
+        match self {
+            Self::Cancel => Change::to(JobState::Canceled),
+            // Both states say all there is to say; no error code means either.
+            Self::Timeout => Change::to(JobState::TimedOut),
+            Self::Fail(error) => Change::to(JobState::Failed).error(error.clone()),
+        }
+    }
+}
+
 /// What is stored of a job beside the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JobEntry {
@@ -63,6 +80,9 @@ pub struct JobEntry {
     pub ending: Option<Ending>,
     /// Longest time from activation to the last pulse, µs.
     pub timeout_us: Option<u64>,
+    /// What else is stored of a synchronized job that is not final.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<Box<GroupEntry>>,
 }
 
 /// A job as the fleet keeps it.
@@ -72,8 +92,20 @@ pub struct Job {
     pub entry: JobEntry,
     /// Its commands, empty when it is final.
     pub commands: Arc<[Command]>,
+    /// How many of them come before the client's own: one in a part, the barrier of its start.
+    pub head_commands: u64,
     /// When its progress was published last.
     pub progress_told_at: FleetMicros,
+    /// The parts of a synchronized job, by node; none of any other.
+    pub parts: BTreeMap<NodeId, Job>,
+    /// Of a part: whether its node has passed the start.
+    pub passed: Passed,
+    /// Of a synchronized job: its record waits for the nodes' measurement of the start, although
+    /// all parts have succeeded.
+    pub measuring: bool,
+    /// Of a synchronized job that is final: its start was not over, and some nodes have passed it
+    /// or may have.
+    pub split: bool,
 }
 
 /// Returns whether a job may go from one state to another. Staying is a change of progress.
@@ -96,6 +128,11 @@ impl Job {
             progress_told_at: entry.record.updated,
             entry,
             commands,
+            head_commands: 0,
+            parts: BTreeMap::new(),
+            passed: Passed::No,
+            measuring: false,
+            split: false,
         }
     }
 
@@ -117,7 +154,7 @@ impl Job {
     /// Returns the number after its last command in its node's queue.
     pub fn end(&self) -> Option<u64> {
         let activation = self.entry.activation?;
-        Some(activation.base + self.entry.record.progress.total)
+        Some(activation.base + self.head_commands + self.entry.record.progress.total)
     }
 
     /// Returns when it must be stopped, if it has a limit and runs.
@@ -134,7 +171,7 @@ impl Job {
             .activation
             .map_or(0, |activation| activation.base);
         executed_commands
-            .saturating_sub(base)
+            .saturating_sub(base + self.head_commands)
             .min(self.entry.record.progress.total)
     }
 
@@ -269,6 +306,7 @@ mod tests {
             activation: None,
             ending: None,
             timeout_us: None,
+            group: None,
         };
         Job::new(entry, Arc::new([])).change(Change::to(JobState::Running), FleetMicros(2));
     }

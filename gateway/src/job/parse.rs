@@ -1,4 +1,4 @@
-//! Job text → [`JobRequest`]. Owns the meaning of a payload's encoding; what a job must look like
+//! Job text → [`JobRequest`] or [`GroupRequest`]. Owns the meaning of a payload's encoding; what a job must look like
 //! is said in [`keys::job`].
 //!
 //! Promises: nothing is guessed. An encoding that is not in the contract is refused, however much
@@ -6,15 +6,15 @@
 
 use keys::{
     JobId,
-    job::{JOB_BYTES_MAX, JobRequest, Offline, Work},
+    job::{GroupRequest, JOB_BYTES_MAX, JobRequest, Offline, Work},
     record::{ErrorCode, JobError},
 };
 
 /// What a payload turned out to be.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Parsed {
+pub struct Parsed<R = JobRequest> {
     /// The job, or why it is none.
-    pub request: Result<JobRequest, JobError>,
+    pub request: Result<R, JobError>,
     /// The id that it gives, also when the rest of it is wrong.
     pub id_hint: Option<JobId>,
 }
@@ -67,7 +67,29 @@ pub fn parse(encoding: &str, payload: &[u8]) -> Parsed {
     }
 }
 
-impl Parsed {
+/// Reads a synchronized job: JSON or postcard, as [`parse`]. A script alone has no parts.
+pub fn parse_group(encoding: &str, payload: &[u8]) -> Parsed<GroupRequest> {
+    if payload.len() > JOB_BYTES_MAX {
+        let message = format!("{} bytes; a job has at most {JOB_BYTES_MAX}", payload.len());
+        return Parsed::refused(ErrorCode::TooLarge, message);
+    }
+    let request = match Form::from_encoding(encoding, payload) {
+        Ok(Form::Json) => GroupRequest::from_json(payload),
+        Ok(Form::Postcard) => GroupRequest::from_postcard(payload),
+        Ok(Form::Lua) => Err(JobError::new(
+            ErrorCode::BadJson,
+            "a synchronized job is JSON or postcard; a script goes into the part of each node",
+        )),
+        Err(error) => Err(error),
+    };
+    let id_hint = match &request {
+        Ok(request) => request.id,
+        Err(_) => JobRequest::id_of_json(payload),
+    };
+    Parsed { request, id_hint }
+}
+
+impl<R> Parsed<R> {
     fn refused(code: ErrorCode, message: String) -> Self {
         Self {
             request: Err(JobError::new(code, message)),

@@ -6,8 +6,34 @@ use keys::{
     AxisStatus, BatchAck, BatchReader, Command, Features, JobId, LocalMicros, NodeId, NodeState,
     NodeTopic, Order, QueueId, Refusal, Status, Stop, StopMode, StopReason, StopReport, Verdict,
     clock::{ClockMessage, ClockReply},
+    start::StartMessage,
 };
 use std::collections::HashMap;
+
+/// Time between two words that it is ready, µs.
+const READY_US: u64 = 100_000;
+
+/// Time between two words that it has started, µs, and how many there are.
+const STARTED_US: u64 = 200_000;
+const STARTED_COUNT: u32 = 5;
+
+/// A commit that was taken.
+#[derive(Clone, Copy, Debug)]
+struct Armed {
+    start_at: LocalMicros,
+    confirm_by: LocalMicros,
+    confirmed: bool,
+}
+
+/// A start that is told until everybody must have heard it.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    queue: QueueId,
+    command: u64,
+    edge_us: u64,
+    send_us: u64,
+    left_count: u32,
+}
 
 /// How long a deceleration takes, µs.
 const DECELERATE_US: u64 = 20_000;
@@ -44,7 +70,20 @@ pub struct FakeNode {
     stopping: Option<(StopReason, u64)>,
     last_stop: Option<StopReport>,
     told_us: u64,
+    told_state: NodeState,
     outbox: Vec<(NodeTopic, Vec<u8>)>,
+    armed: Option<Armed>,
+    /// When it says again that it is ready.
+    ready_us: Option<u64>,
+    starts: Vec<Told>,
+    /// Its first edge leaves so much later than it should, µs.
+    pub edge_late_us: u64,
+    /// It never says that it is ready.
+    pub mute: bool,
+    /// It never says that it has started.
+    pub mute_started: bool,
+    /// Every barrier that it passed: job, number of the meeting point, and when.
+    pub passed: Vec<(JobId, u16, u64)>,
 }
 
 impl FakeNode {
@@ -72,7 +111,15 @@ impl FakeNode {
             stopping: None,
             last_stop: None,
             told_us: now_us,
+            told_state: NodeState::Idle,
             outbox: Vec::new(),
+            armed: None,
+            ready_us: None,
+            starts: Vec::new(),
+            edge_late_us: 0,
+            mute: false,
+            mute_started: false,
+            passed: Vec::new(),
         };
         node.tell(now_us);
         node
@@ -86,6 +133,9 @@ impl FakeNode {
             refuses_steps: self.refuses_steps,
             taken: std::mem::take(&mut self.taken),
             done: std::mem::take(&mut self.done),
+            passed: std::mem::take(&mut self.passed),
+            edge_late_us: self.edge_late_us,
+            mute: self.mute,
             axis_count: self.axis_count,
             stop_pin: self.stop_pin,
             ..fresh
@@ -137,8 +187,150 @@ impl FakeNode {
                 });
                 self.push(NodeTopic::Clock, &reply);
             }
+            NodeTopic::Start => {
+                let message = keys::version::decode(payload).expect("a start message");
+                self.hear_start(message, now_us);
+                self.poll(now_us);
+            }
             other => panic!("a node does not hear {other:?}"),
         }
+    }
+
+    /// The barrier at which it waits, with everything behind it loaded as far as it fits.
+    fn barrier(&self) -> Option<(u64, u16)> {
+        let Some(Command::Barrier { barrier }) = self.commands.get(self.executed as usize) else {
+            return None;
+        };
+        let (_, job_end) = self.job?;
+        let loaded = self.accepted() > self.executed + 1 || self.accepted() == job_end;
+        let rests = self.stopping.is_none() && self.latched.is_none();
+        (loaded && rests && self.began_us.is_some()).then_some((self.executed, *barrier))
+    }
+
+    fn hear_start(&mut self, message: StartMessage, now_us: u64) {
+        let queue = self.queue;
+        let here = self.barrier().map(|(command, _)| (queue, command));
+        let now = self.local(now_us);
+        match message {
+            StartMessage::Commit {
+                queue,
+                command,
+                start_at,
+                confirm_by,
+            } => {
+                let in_time = now < confirm_by && confirm_by.0 + 2_000 <= start_at.0;
+                let confirmed = self.armed.is_some_and(|armed| armed.confirmed);
+                if here != Some((queue, command)) || (!in_time && !confirmed) {
+                    return;
+                }
+                if !confirmed {
+                    self.armed = Some(Armed {
+                        start_at,
+                        confirm_by,
+                        confirmed: false,
+                    });
+                }
+                self.ready_us = None;
+                self.push(NodeTopic::Start, &StartMessage::Armed { queue, command });
+            }
+            StartMessage::Confirm { queue, command } => {
+                if let Some(armed) = &mut self.armed
+                    && here == Some((queue, command))
+                    && now < armed.confirm_by
+                {
+                    armed.confirmed = true;
+                }
+            }
+            StartMessage::Abort { queue, command } => {
+                if let Some(armed) = self.armed
+                    && here == Some((queue, command))
+                    && now < armed.start_at
+                {
+                    self.armed = None;
+                }
+                if here == Some((queue, command)) && self.armed.is_none() {
+                    self.ready_us = Some(now_us);
+                }
+            }
+            StartMessage::Ready { .. }
+            | StartMessage::Armed { .. }
+            | StartMessage::Started { .. } => panic!("a node's own word"),
+        }
+    }
+
+    fn poll_start(&mut self, now_us: u64) {
+        if let Some(armed) = self.armed
+            && !armed.confirmed
+            && self.local(now_us) >= armed.confirm_by
+        {
+            self.armed = None;
+        }
+        let Some((command, _)) = self.barrier() else {
+            self.ready_us = None;
+            self.armed = None;
+            return;
+        };
+        if self.armed.is_none() && !self.mute {
+            let at_us = *self.ready_us.get_or_insert(now_us);
+            if now_us >= at_us {
+                self.ready_us = Some(now_us + READY_US);
+                let queue = self.queue;
+                self.push(NodeTopic::Start, &StartMessage::Ready { queue, command });
+            }
+        }
+    }
+
+    fn poll_started(&mut self, now_us: u64) {
+        let mut said = Vec::new();
+        for told in &mut self.starts {
+            if now_us >= told.send_us {
+                told.left_count -= 1;
+                told.send_us = now_us + STARTED_US;
+                said.push(*told);
+            }
+        }
+        self.starts.retain(|told| told.left_count > 0);
+        if self.mute_started {
+            return;
+        }
+        for told in said {
+            let started = StartMessage::Started {
+                queue: told.queue,
+                command: told.command,
+                first_edge_at: self.local(told.edge_us),
+            };
+            self.push(NodeTopic::Start, &started);
+        }
+    }
+
+    /// It goes on at a barrier.
+    fn pass(&mut self, barrier: u16, at_us: u64) {
+        self.armed = None;
+        self.ready_us = None;
+        let job = self.jobs[self.executed as usize];
+        self.passed.push((job, barrier, at_us));
+        let mut edge_us = at_us;
+        for command in &self.commands[self.executed as usize + 1..] {
+            match command {
+                Command::Pause { pause_ms } => edge_us += u64::from(*pause_ms) * 1_000,
+                Command::Move { .. } | Command::SyncMove { .. } => {
+                    edge_us += self.edge_late_us;
+                    break;
+                }
+                Command::Barrier { .. } => {
+                    edge_us = at_us;
+                    break;
+                }
+                _ => {}
+            }
+        }
+        self.starts.push(Told {
+            queue: self.queue,
+            command: self.executed,
+            edge_us,
+            send_us: edge_us,
+            left_count: STARTED_COUNT,
+        });
     }
 
     pub fn poll(&mut self, now_us: u64) {
@@ -153,6 +345,12 @@ impl FakeNode {
                 break;
             }
             let command = self.commands[self.executed as usize];
+            if let Command::Barrier { barrier } = command {
+                self.pass(barrier, end_us);
+                self.executed += 1;
+                self.began_us = (self.executed < self.accepted()).then_some(end_us);
+                continue;
+            }
             for (position, steps) in self.positions.iter_mut().zip(steps_of(&command)) {
                 *position += steps;
             }
@@ -174,7 +372,11 @@ impl FakeNode {
                 self.tell(now_us);
             }
         }
-        if now_us >= self.told_us + self.period_us() {
+        let was_ready = self.state() == NodeState::Ready;
+        self.poll_start(now_us);
+        self.poll_started(now_us);
+        let new_state = was_ready != (self.told_state == NodeState::Ready);
+        if new_state || now_us >= self.told_us + self.period_us() {
             self.tell(now_us);
         }
     }
@@ -182,7 +384,11 @@ impl FakeNode {
     pub fn poll_timeout(&self) -> Option<u64> {
         let at_rest = self.stopping.map(|(_, at_us)| at_us);
         let status = self.link_up.then_some(self.told_us + self.period_us());
-        [self.command_end(), at_rest, status]
+        let disarm = self.armed.filter(|armed| !armed.confirmed);
+        let disarm = disarm.map(|armed| armed.confirm_by.0 + self.booted_us);
+        let ready = self.ready_us.filter(|_| self.armed.is_none());
+        let told = self.starts.iter().map(|told| told.send_us).min();
+        [self.command_end(), at_rest, status, disarm, ready, told]
             .into_iter()
             .flatten()
             .min()
@@ -308,6 +514,10 @@ impl FakeNode {
         if self.stopping.is_some() {
             return None;
         }
+        if let Command::Barrier { .. } = command {
+            let armed = self.armed.filter(|armed| armed.confirmed)?;
+            return Some(armed.start_at.0 + self.booted_us);
+        }
         Some(self.began_us? + duration_us(command))
     }
 
@@ -337,6 +547,8 @@ impl FakeNode {
             positions_steps: self.positions.iter().copied().collect(),
         });
         self.queue.flush += 1;
+        self.armed = None;
+        self.ready_us = None;
         self.commands.clear();
         self.jobs.clear();
         self.executed = 0;
@@ -358,19 +570,10 @@ impl FakeNode {
     }
 
     pub fn status(&self, now_us: u64) -> Status {
-        let stopping = self
-            .stopping
-            .filter(|(reason, _)| *reason != StopReason::Cancel);
-        let state = match self.latched.or(stopping.map(|(reason, _)| reason)) {
-            Some(StopReason::Fault) => NodeState::Fault,
-            Some(_) => NodeState::Stopped,
-            None if self.is_active() => NodeState::Running,
-            None => NodeState::Idle,
-        };
         Status {
             at: self.local(now_us),
             queue: self.queue,
-            state,
+            state: self.state(),
             stop: self.last_stop.clone(),
             job: self.job.map(|(job, _)| job),
             accepted_commands: self.accepted(),
@@ -394,8 +597,22 @@ impl FakeNode {
         }
     }
 
+    fn state(&self) -> NodeState {
+        let stopping = self
+            .stopping
+            .filter(|(reason, _)| *reason != StopReason::Cancel);
+        match self.latched.or(stopping.map(|(reason, _)| reason)) {
+            Some(StopReason::Fault) => NodeState::Fault,
+            Some(_) => NodeState::Stopped,
+            None if self.barrier().is_some() => NodeState::Ready,
+            None if self.is_active() => NodeState::Running,
+            None => NodeState::Idle,
+        }
+    }
+
     pub fn tell(&mut self, now_us: u64) {
         self.told_us = now_us;
+        self.told_state = self.state();
         let status = self.status(now_us);
         self.push(NodeTopic::Status, &status);
     }

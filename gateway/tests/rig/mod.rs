@@ -27,6 +27,7 @@ use gateway::{
 use keys::{
     FleetMicros, JobId, Keys, NodeId, NodeTopic, StopMode, Topic,
     record::{JobRecord, JobState, NodeRecord},
+    start::StartMessage,
 };
 use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
@@ -81,6 +82,19 @@ impl Faults {
     };
 }
 
+/// What happens to one message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Spoil {
+    /// It is lost.
+    Lose,
+    /// It comes twice, the second time so much later, µs.
+    Twice(u64),
+    /// It comes so much later, µs, and what its sender says behind it on that key, too.
+    Late(u64),
+    /// It is lost, and everything that its sender says on that key from then on.
+    Silence,
+}
+
 #[derive(Clone, Debug)]
 struct Message {
     node: NodeId,
@@ -122,6 +136,12 @@ pub struct Rig {
     /// How long the gateway is away after the power failed.
     pub restart_after_us: Option<u64>,
     restart_at_us: Option<u64>,
+    /// Which messages of a synchronized job are spoilt, counted from 0, and how.
+    pub spoils: BTreeMap<u64, Spoil>,
+    /// How many such messages there were.
+    pub start_message_count: u64,
+    /// Until when nothing more arrives on a way, and ways that are cut for good.
+    held_until: BTreeMap<(NodeId, bool, &'static str), u64>,
     /// The gateway has died once: versions that were written and not told may be missing.
     pub died: bool,
 }
@@ -155,6 +175,9 @@ impl Rig {
             dead: false,
             restart_after_us: None,
             restart_at_us: None,
+            spoils: BTreeMap::new(),
+            start_message_count: 0,
+            held_until: BTreeMap::new(),
             died: false,
         }
     }
@@ -205,6 +228,12 @@ impl Rig {
             alive: up,
         });
         self.carry_from_nodes();
+    }
+
+    /// From now on every message comes through.
+    pub fn heal(&mut self) {
+        self.spoils.clear();
+        self.held_until.clear();
     }
 
     /// What was on its way to a node is gone; what it said last may still arrive.
@@ -263,6 +292,34 @@ impl Rig {
         let replies = self.get(pattern, job);
         assert_eq!(replies.len(), 1, "{replies:?}");
         error_of(&replies[0])
+    }
+
+    /// Puts or gets a synchronized job.
+    pub fn submit_group(&mut self, group: &str, job: &Value, reply: Option<ReplyTo>) {
+        let parsed = parse::parse_group("application/json", job.to_string().as_bytes());
+        self.event(Event::SubmitGroup {
+            pattern: group.into(),
+            request: parsed.request,
+            id_hint: parsed.id_hint,
+            reply,
+        });
+    }
+
+    /// Gets a synchronized job that must be taken; returns its name.
+    pub fn accept_group(&mut self, job: &Value) -> JobId {
+        let reply = self.ask();
+        self.submit_group("g1", job, Some(reply));
+        let replies = self.answers(reply);
+        assert_eq!(replies.len(), 1, "{replies:?}");
+        assert!(replies[0]["job"].is_string(), "{replies:?}");
+        id(replies[0]["job"].as_str().expect("a name"))
+    }
+
+    /// Gets a synchronized job that must be refused; returns code and message.
+    pub fn refuse_group(&mut self, job: &Value) -> (String, String) {
+        let reply = self.ask();
+        self.submit_group("g1", job, Some(reply));
+        error_of(&self.answers(reply)[0])
     }
 
     /// A fresh name for a get.
@@ -572,6 +629,7 @@ impl Rig {
                 match topic {
                     NodeTopic::Batch => assert_eq!(lane, Lane::Order),
                     NodeTopic::Clock => assert_eq!(lane, Lane::RealTime),
+                    NodeTopic::Start => self.check_start(lane, &payload),
                     other => panic!("the gateway says nothing on {other:?}"),
                 }
                 self.sent
@@ -585,6 +643,22 @@ impl Rig {
             }
             other => panic!("the gateway says nothing on {other:?}"),
         }
+    }
+
+    /// What is said of a start takes its lane, and a commit's plan is in the store.
+    fn check_start(&self, lane: Lane, payload: &[u8]) {
+        let message: StartMessage = keys::version::decode(payload).expect("a start message");
+        let StartMessage::Commit { .. } = message else {
+            assert_eq!(lane, Lane::RealTime);
+            return;
+        };
+        assert_eq!(lane, Lane::Commit);
+        let planned = self.rows.iter().any(|((table, _), row)| {
+            *table == Table::Jobs
+                && serde_json::from_slice::<JobEntry>(row)
+                    .is_ok_and(|entry| entry.group.is_some_and(|group| !group.planned.is_empty()))
+        });
+        assert!(planned, "committed, but not persisted");
     }
 
     fn publish_stop(&mut self, key: &str, payload: &[u8]) {
@@ -636,6 +710,31 @@ impl Rig {
         if !reliable && self.chance.percent(faults.drop_percent) {
             return;
         }
+        let way = (message.node, message.to_node, message.topic.suffix());
+        let mut at_least_us = 0;
+        let mut again_us = None;
+        if matches!(
+            message.topic,
+            NodeTopic::Start | NodeTopic::Batch | NodeTopic::Ack
+        ) {
+            let spoil = self.spoils.get(&self.start_message_count).copied();
+            self.start_message_count += 1;
+            match spoil {
+                None => {}
+                Some(Spoil::Lose) => return,
+                Some(Spoil::Twice(later_us)) => again_us = Some(later_us),
+                Some(Spoil::Late(us)) => {
+                    self.held_until.insert(way, self.now_us + us);
+                }
+                Some(Spoil::Silence) => {
+                    self.held_until.insert(way, u64::MAX);
+                }
+            }
+            at_least_us = self.held_until.get(&way).copied().unwrap_or(0);
+            if at_least_us == u64::MAX {
+                return;
+            }
+        }
         let copies = if self.chance.percent(faults.duplicate_percent) {
             2
         } else {
@@ -644,9 +743,15 @@ impl Rig {
         for _ in 0..copies {
             let spread = faults.delay_us_max - faults.delay_us_min + 1;
             let at_us = self.now_us + faults.delay_us_min + self.chance.below(spread);
+            let at_us = at_us.max(at_least_us);
             self.next_number += 1;
             self.network
                 .insert((at_us, self.next_number), message.clone());
+            if let Some(later_us) = again_us {
+                self.next_number += 1;
+                self.network
+                    .insert((at_us + later_us, self.next_number), message.clone());
+            }
         }
     }
 

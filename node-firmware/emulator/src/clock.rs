@@ -10,8 +10,8 @@ use keys::LocalMicros;
 pub struct LocalClock {
     /// Since when the line below holds.
     anchor_real_us: u64,
-    /// What the clock showed then.
-    anchor_local_us: u64,
+    /// What the clock showed then, billionths of a µs: nothing is lost when the rate changes.
+    anchor_local: i128,
     drift_ppb: i64,
 }
 
@@ -27,26 +27,27 @@ impl LocalClock {
     pub fn new(boot_real_us: u64, offset_us: u64, drift_ppb: i64) -> Self {
         Self {
             anchor_real_us: boot_real_us,
-            anchor_local_us: offset_us,
+            anchor_local: i128::from(offset_us) * PPB,
             drift_ppb: drift_ppb.clamp(-DRIFT_PPB_MAX, DRIFT_PPB_MAX),
         }
     }
 
     /// Returns what the clock shows at this real time; before its boot, what it showed then.
     pub fn local_from_real(&self, real_us: u64) -> LocalMicros {
+        let local = self.exact_local(real_us) / PPB;
+        LocalMicros(u64::try_from(local).unwrap_or(u64::MAX))
+    }
+
+    fn exact_local(&self, real_us: u64) -> i128 {
         let passed = i128::from(real_us.saturating_sub(self.anchor_real_us));
-        let local = passed * (PPB + i128::from(self.drift_ppb)) / PPB;
-        LocalMicros(
-            self.anchor_local_us
-                .saturating_add(u64::try_from(local).unwrap_or(u64::MAX)),
-        )
+        self.anchor_local + passed * (PPB + i128::from(self.drift_ppb))
     }
 
     /// Returns the first real microsecond at which the clock shows at least `local`.
     pub fn real_from_local(&self, local: LocalMicros) -> u64 {
-        let passed = i128::from(local.0.saturating_sub(self.anchor_local_us));
+        let passed = (i128::from(local.0) * PPB - self.anchor_local).max(0);
         let rate = PPB + i128::from(self.drift_ppb);
-        let real = (passed * PPB + rate - 1) / rate;
+        let real = (passed + rate - 1) / rate;
         self.anchor_real_us
             .saturating_add(u64::try_from(real).unwrap_or(u64::MAX))
     }
@@ -59,9 +60,8 @@ impl LocalClock {
 
     /// Lets the clock jump ahead at this real time.
     pub fn jump(&mut self, real_us: u64, ahead_us: u64) {
-        let local = self.local_from_real(real_us);
+        self.anchor_local = self.exact_local(real_us) + i128::from(ahead_us) * PPB;
         self.anchor_real_us = real_us.max(self.anchor_real_us);
-        self.anchor_local_us = local.0.saturating_add(ahead_us);
     }
 }
 

@@ -245,6 +245,11 @@ impl EmulatedNode {
         &self.node
     }
 
+    /// Returns the changes of pins that were recorded since this boot.
+    pub fn edges(&self) -> &[crate::pins::PinEvent] {
+        &self.edges
+    }
+
     /// Returns the record of this boot so far. Copies it.
     pub fn life(&self) -> Life {
         Life {

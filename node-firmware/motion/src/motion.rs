@@ -295,7 +295,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns what this firmware can do.
     pub fn features(&self) -> Features {
-        Features::BASIC
+        Features::BASIC.with(Features::BARRIERS)
     }
 
     /// Returns whether the command can be executed here.

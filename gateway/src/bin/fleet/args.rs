@@ -1,7 +1,7 @@
 //! What can be typed.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use keys::{JobId, NodeId, record::JobState};
+use keys::{GroupId, JobId, NodeId, record::JobState};
 use std::{path::PathBuf, time::Duration};
 
 /// Where clients look for the gateway when nothing else is said.
@@ -75,6 +75,7 @@ Examples:
 Examples:
   fleet submit square.json --node left --wait
   fleet submit drill.lua --node 'cell-$*' --id drill-7
+  fleet submit cut.json --group table --wait
   echo '{\"commands\":[{\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":2000}}]}' | \\
       fleet submit - --node left --wait=60")]
     Submit(Submit),
@@ -138,8 +139,12 @@ pub(crate) struct Submit {
     pub(crate) file: PathBuf,
 
     /// Node, or pattern with `*` or `$*`: a job for each node that is alive and matches.
-    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
-    pub(crate) node: String,
+    #[arg(long, value_name = "PATTERN", value_parser = pattern, required_unless_present = "group")]
+    pub(crate) node: Option<String>,
+
+    /// Group: the file has a part for each of its nodes, and all start at one instant.
+    #[arg(long, conflicts_with = "node", value_parser = group_id)]
+    pub(crate) group: Option<GroupId>,
 
     /// Name of the job; makes it idempotent. Replaces the one in the file.
     #[arg(long, value_parser = job_id)]
@@ -218,6 +223,10 @@ fn node_id(text: &str) -> Result<NodeId, String> {
     NodeId::new(text).map_err(|error| error.to_string())
 }
 
+fn group_id(text: &str) -> Result<GroupId, String> {
+    GroupId::new(text).map_err(|error| error.to_string())
+}
+
 fn job_id(text: &str) -> Result<JobId, String> {
     JobId::new(text).map_err(|error| error.to_string())
 }
@@ -281,6 +290,17 @@ mod tests {
         for bad in ["0", "-1", "x", "nan", "inf", "1e9"] {
             assert!(seconds(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn a_job_is_for_nodes_or_for_a_group() {
+        let parse = |line: &[&str]| {
+            let line = [&["fleet", "submit", "a.json"], line].concat();
+            Line::try_parse_from(line).is_ok()
+        };
+        assert!(parse(&["--node", "left"]) && parse(&["--group", "table"]));
+        assert!(!parse(&[]) && !parse(&["--node", "left", "--group", "table"]));
+        assert!(!parse(&["--group", "ta$*"]));
     }
 
     #[test]

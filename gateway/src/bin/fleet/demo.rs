@@ -1,9 +1,9 @@
 //! `fleet demo`: a gateway and three emulated nodes in this process, over real TCP.
 //!
-//! Plays another example job on each node, handed in by an ordinary client, and holds four things
-//! against each other: where the commands of the file lead, where the gateway's record says the
-//! axes are, what the emulated pulse counters counted at the pins, and the oracle's judgement of
-//! every edge.
+//! Plays another example job on each node, handed in by an ordinary client, and then one job on all
+//! of them that starts at one instant. Holds four things against each other: where the commands of
+//! the file lead, where the gateway's record says the axes are, what the emulated pulse counters
+//! counted at the pins, and the oracle's judgement of every edge.
 
 use crate::{
     args::Common,
@@ -45,6 +45,13 @@ const PLAYS: [(&str, &str, &str); 3] = [
         include_str!("../../../examples/jobs/ripples.json"),
     ),
 ];
+
+/// The job that starts on all nodes at one instant; each axis ends where it began.
+const TOGETHER: &str = r#"[{"move": {"axis": 0, "delay_us": 500, "steps": 600}},
+    {"move": {"axis": 0, "delay_us": 500, "steps": -600}}]"#;
+
+/// Its name.
+const TOGETHER_NAME: &str = "together";
 
 /// Far more than the jobs take, 5 s.
 const PLAY_WITHIN: Duration = Duration::from_secs(60);
@@ -130,14 +137,22 @@ pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
     }
     let played = play(common, &locator, talk).await;
     let ended = service.shutdown().await;
-    let played = played?;
+    let (played, together) = played?;
     ended.map_err(anyhow::Error::from)?;
 
-    let good = played.iter().all(Played::good);
+    let started = together.start.as_deref();
+    let good = played.iter().all(Played::good)
+        && together.state == JobState::Succeeded
+        && started.is_some();
     if common.json {
         for one in &played {
             show::line(&json_of(one).to_string());
         }
+        let line = serde_json::json!({
+            "job": together.job, "state": together.state, "start": together.start,
+            "error": together.error,
+        });
+        show::line(&line.to_string());
     } else {
         show::print(table_of(&played));
         for one in &played {
@@ -147,6 +162,13 @@ pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
                 }
             }
         }
+        show::line(&match started {
+            Some(start) => format!(
+                "Started together: first edges {:.0} µs apart, as the nodes measured it, ± {:.0} µs.",
+                start.skew_us, start.uncertainty_us
+            ),
+            None => format!("NOT started together: {:?}", together.error),
+        });
         let words = if good {
             "Every pulse is where the commands say, by the oracle, the ledgers and the counters."
         } else {
@@ -162,7 +184,11 @@ pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
 }
 
 /// Boots the nodes, plays the jobs, and judges what the pins did.
-async fn play(common: &Common, locator: &str, talk: bool) -> Result<Vec<Played>, Failure> {
+async fn play(
+    common: &Common,
+    locator: &str,
+    talk: bool,
+) -> Result<(Vec<Played>, JobRecord), Failure> {
     let link = Link::connect(locator, common.prefix.clone(), None, common.timeout).await?;
     let states = link
         .subscribe(link.keys().every_node(NodeTopic::State).as_str())
@@ -194,7 +220,8 @@ async fn play(common: &Common, locator: &str, talk: bool) -> Result<Vec<Played>,
         ));
     }
 
-    let follower = Follower::new(&link, talk && std::io::stderr().is_terminal()).await?;
+    let bars = talk && std::io::stderr().is_terminal();
+    let follower = Follower::new(&link, bars).await?;
     let mut jobs = Vec::new();
     for (node, name, text) in PLAYS {
         let mut job: serde_json::Map<String, serde_json::Value> =
@@ -211,11 +238,12 @@ async fn play(common: &Common, locator: &str, talk: bool) -> Result<Vec<Played>,
         }
     }
     let ended = follower.wait(&jobs, Some(PLAY_WITHIN)).await?;
-    link.close().await;
     if ended.timed_out {
         let message = format!("the jobs did not end within {} s", PLAY_WITHIN.as_secs());
         return Err(Failure::TimedOut(message));
     }
+    let together = start_together(&link, bars).await?;
+    link.close().await;
 
     let mut played = Vec::new();
     for ((handle, record), (_, name, text)) in handles.into_iter().zip(ended.records).zip(PLAYS) {
@@ -237,7 +265,33 @@ async fn play(common: &Common, locator: &str, talk: bool) -> Result<Vec<Played>,
             judgement,
         });
     }
-    Ok(played)
+    Ok((played, together))
+}
+
+/// Starts one job on all nodes at one instant and waits for its end.
+async fn start_together(link: &Link, bars: bool) -> Result<JobRecord, Failure> {
+    let follower = Follower::new(link, bars).await?;
+    let commands: serde_json::Value =
+        serde_json::from_str(TOGETHER).context("the example is JSON")?;
+    let part = |(node, _, _)| (node, serde_json::json!({"commands": commands}));
+    let nodes: serde_json::Map<_, _> = PLAYS
+        .into_iter()
+        .map(part)
+        .map(|(node, part)| (String::from(node), part))
+        .collect();
+    // Nodes of this demo are seconds old, and the machine may be busy: what is measured is shown,
+    // whatever it is.
+    let job = serde_json::json!({"id": TOGETHER_NAME, "nodes": nodes, "max_skew_us": 20_000});
+    let key = format!("{}/group/demo/job", link.keys().prefix());
+    let payload = (job.to_string().into_bytes(), Encoding::APPLICATION_JSON);
+    let mut jobs = Vec::new();
+    for answer in link.get(&key, Some(payload)).await? {
+        let payload = answer.map_err(|error| anyhow!("{TOGETHER_NAME}: {error}"))?;
+        jobs.push(read::<Receipt>(&payload)?.job);
+    }
+    let ended = follower.wait(&jobs, Some(PLAY_WITHIN)).await?;
+    let record = ended.records.into_iter().next();
+    Ok(record.ok_or_else(|| anyhow!("{TOGETHER_NAME} has no record"))?)
 }
 
 fn boot(node: &str, keys: &Keys, locator: &str, seed: u64) -> Result<EmulatedHandle> {

@@ -130,10 +130,14 @@ fn whose(record: &JobRecord) -> String {
 
 /// Returns why it ended early, or where it left the axes.
 pub(crate) fn outcome(record: &JobRecord) -> String {
-    match (&record.error, &record.result) {
-        (Some(error), _) => error.to_string(),
-        (None, Some(result)) => positions(&result.position),
-        (None, None) => String::new(),
+    match (&record.error, &record.result, &record.start) {
+        (Some(error), _, _) => error.to_string(),
+        (None, Some(result), _) => positions(&result.position),
+        (None, None, Some(start)) => format!(
+            "started {:.0} µs apart, ± {:.0}",
+            start.skew_us, start.uncertainty_us
+        ),
+        (None, None, None) => String::new(),
     }
 }
 

@@ -20,7 +20,12 @@ pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(
         Some(_) => Some(Follower::new(link, !json).await?),
         None => None,
     };
-    let key = format!("{}/node/{}/job", link.keys().prefix(), submit.node);
+    let prefix = link.keys().prefix();
+    let key = match (&submit.group, &submit.node) {
+        (Some(group), _) => link.keys().group_job(group).as_str().to_owned(),
+        (None, Some(node)) => format!("{prefix}/node/{node}/job"),
+        (None, None) => unreachable!("the command line needs one of them"),
+    };
     let answers = link.get(&key, Some((payload, encoding))).await?;
     let mut refused = answers.is_empty();
     if refused {

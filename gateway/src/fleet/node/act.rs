@@ -39,7 +39,7 @@ impl Node {
         book: &Book,
         config: &FleetConfig,
     ) -> Option<FleetMicros> {
-        let active = self.active.and_then(|id| book.get(&id));
+        let active = self.active.and_then(|id| book.part(&id, self.id));
         let silence = (self.alive || active.is_some_and(|job| job.state() != JobState::Lost))
             .then(|| self.heard_at.plus_us(config.silence_us));
         let deadline = active.and_then(Job::deadline);
@@ -100,24 +100,25 @@ impl Node {
 
     fn lose_active(&mut self, turn: &mut Turn<'_>) {
         let Some(id) = self.active else { return };
-        let Some(job) = turn.book.get(&id) else {
+        let Some(job) = turn.book.part(&id, self.id) else {
             return;
         };
         if job.state() != JobState::Lost {
             let done = job.done_of(self.executed);
             let change = Change::to(JobState::Lost).done(done);
-            turn.book.change(&id, change, turn.now, turn.effects);
+            turn.book
+                .change(&id, self.id, change, turn.now, turn.effects);
         }
     }
 
     fn watch_deadline(&mut self, turn: &mut Turn<'_>) {
         let due = self
             .active
-            .and_then(|id| turn.book.get(&id))
+            .and_then(|id| turn.book.part(&id, self.id))
             .and_then(Job::deadline)
             .is_some_and(|deadline| turn.now >= deadline);
         if due {
-            self.end_active(Ending::Timeout, turn);
+            self.end_active(Ending::Timeout, StopMode::Decelerate, turn);
         }
     }
 
@@ -136,7 +137,11 @@ impl Node {
             return;
         };
         if self.cancel.take(turn.now, self.round_trip.retry_us()) {
-            let mode = StopMode::Decelerate;
+            let mode = if self.facts.drop_halts {
+                StopMode::Halt
+            } else {
+                StopMode::Decelerate
+            };
             self.order(&Order::Cancel { queue, mode }, turn);
         }
     }
@@ -180,13 +185,15 @@ impl Node {
             return;
         }
         while let Some(id) = self.waiting.pop_front() {
-            let Some(job) = turn.book.get(&id) else {
+            let Some(job) = turn.book.part(&id, self.id) else {
                 continue;
             };
             // The firmware may have changed while the job waited.
-            if let Err(error) = self.check(&job.commands) {
+            let own = job.commands.get(job.head_commands as usize..);
+            if let Err(error) = self.check(own.unwrap_or_default(), job.head_commands > 0) {
                 let change = Change::to(JobState::Failed).error(error);
-                turn.book.change(&id, change, turn.now, turn.effects);
+                turn.book
+                    .change(&id, self.id, change, turn.now, turn.effects);
                 continue;
             }
             let activation = Activation {
@@ -194,18 +201,20 @@ impl Node {
                 base: self.accepted,
                 at: turn.now,
             };
-            let total = job.entry.record.progress.total;
-            turn.book
-                .prepare(&id, |entry| entry.activation = Some(activation));
+            let end = activation.base + job.commands.len() as u64;
+            turn.book.prepare(&id, self.id, |part| {
+                part.entry.activation = Some(activation);
+            });
             let change = Change::to(JobState::Sent);
-            turn.book.change(&id, change, turn.now, turn.effects);
+            turn.book
+                .change(&id, self.id, change, turn.now, turn.effects);
             self.active = Some(id);
             self.stale_record = true;
             self.route = Some(Route::new(
                 id,
                 activation.queue,
                 activation.base,
-                activation.base + total,
+                end,
                 turn.config.window_batches,
                 self.round_trip,
             ));
@@ -215,7 +224,7 @@ impl Node {
 
     fn say_batches(&mut self, turn: &mut Turn<'_>) {
         let Some(route) = &mut self.route else { return };
-        let Some(job) = self.active.and_then(|id| turn.book.get(&id)) else {
+        let Some(job) = self.active.and_then(|id| turn.book.part(&id, self.id)) else {
             return;
         };
         let key = turn.config.keys.node(&self.id, NodeTopic::Batch);

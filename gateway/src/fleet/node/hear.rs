@@ -7,10 +7,11 @@ use crate::{
         clock::Stamps,
         route::{Route, Setback},
     },
-    job::{Activation, Change, Ending, Job},
+    job::{Activation, Change, Ending, Job, group::Passed},
 };
 use keys::{
-    BatchAck, FleetMicros, NodeState, QueueId, Refusal, Status, StopReason, StopReport, Verdict,
+    BatchAck, FleetMicros, NodeState, QueueId, Refusal, Status, StopMode, StopReason, StopReport,
+    Verdict,
     clock::ClockReply,
     record::{ErrorCode, JobError, JobState},
 };
@@ -179,7 +180,7 @@ impl Node {
     /// Draws the conclusion for the active job from the last status.
     pub(super) fn judge_active(&mut self, turn: &mut Turn<'_>) {
         let Some(id) = self.active else { return };
-        let (Some(job), Some(status)) = (turn.book.get(&id), &self.status) else {
+        let (Some(job), Some(status)) = (turn.book.part(&id, self.id), &self.status) else {
             return;
         };
         let Some(Activation { queue, base, .. }) = job.entry.activation else {
@@ -189,11 +190,20 @@ impl Node {
         if queue != status.queue {
             let report = status.stop.clone();
             let change = self.outcome_of_dropped(job, queue, report.as_ref());
+            let passed = match report.filter(|report| report.queue == queue) {
+                _ if job.passed == Passed::Yes => Passed::Yes,
+                Some(report) if report.executed_commands > base => Passed::Yes,
+                Some(_) => Passed::No,
+                None => Passed::Unknown,
+            };
+            turn.book.prepare(&id, self.id, |part| part.passed = passed);
             self.finish_active(change, turn);
             return;
         }
         // Success needs the word that also tells the positions; an answer may have been quicker.
         if job.done_of(status.executed_commands) >= total {
+            turn.book
+                .prepare(&id, self.id, |part| part.passed = Passed::Yes);
             let change = Change::to(JobState::Succeeded)
                 .done(total)
                 .position(status.axes.iter().map(|axis| axis.position_steps));
@@ -202,8 +212,11 @@ impl Node {
             return;
         }
         let done = job.done_of(self.executed);
-        let moving = status.state == NodeState::Running && status.job == Some(id);
-        let state = if done > 0 || moving || job.state() == JobState::Running {
+        // A part waits at the barrier of its start until that is over.
+        let begun = self.executed >= base + job.head_commands;
+        let moving = begun && status.state == NodeState::Running && status.job == Some(id);
+        let passed = begun && job.head_commands > 0;
+        let state = if done > 0 || moving || passed || job.state() == JobState::Running {
             JobState::Running
         } else {
             JobState::Sent
@@ -212,16 +225,24 @@ impl Node {
         let progress_due =
             done > told && turn.now.since_us(job.progress_told_at) >= turn.config.progress_us;
         let resumable = job.entry.ending.is_none();
-        if state != job.state() || progress_due {
+        let (before, end) = (job.state(), job.end().unwrap_or(base));
+        if passed && job.passed != Passed::Yes {
+            let edit = |part: &mut Job| part.passed = Passed::Yes;
+            turn.book.prepare(&id, self.id, edit);
+        }
+        if state != before || progress_due {
             let change = Change::to(state).done(done);
-            turn.book.change(&id, change, turn.now, turn.effects);
+            turn.book
+                .change(&id, self.id, change, turn.now, turn.effects);
+        } else {
+            turn.book.note_done(&id, self.id, done);
         }
         if self.route.is_none() && resumable {
             let mut route = Route::new(
                 id,
                 queue,
                 base,
-                base + total,
+                end,
                 turn.config.window_batches,
                 self.round_trip,
             );
@@ -243,10 +264,7 @@ impl Node {
             Change::to(JobState::Succeeded)
         } else {
             match (&job.entry.ending, report) {
-                (Some(Ending::Cancel), _) => Change::to(JobState::Canceled),
-                // Both states say all there is to say; no error code means either.
-                (Some(Ending::Timeout), _) => Change::to(JobState::TimedOut),
-                (Some(Ending::Fail(error)), _) => Change::to(JobState::Failed).error(error.clone()),
+                (Some(ending), _) => ending.change(),
                 (None, Some(report)) => {
                     let message = format!(
                         "stopped ({}); {done} of {total} commands were done",
@@ -304,15 +322,20 @@ impl Node {
                 }
             }
             Setback::BadCommand { index } => {
-                let message = format!("commands[{index}]: the node does not take it");
+                let part = self.active.and_then(|id| turn.book.part(&id, self.id));
+                let head_commands = part.map_or(0, |part| part.head_commands);
+                let message = match index.checked_sub(head_commands) {
+                    Some(index) => format!("commands[{index}]: the node does not take it"),
+                    None => "the node does not take the barrier of the start".to_owned(),
+                };
                 let error = JobError::new(ErrorCode::BadCommand, message);
-                self.end_active(Ending::Fail(error), turn);
+                self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
             }
             Setback::Malformed => {
                 let message = "the node does not understand this gateway's orders; \
                                are their versions too far apart?";
                 let error = JobError::new(ErrorCode::Internal, message);
-                self.end_active(Ending::Fail(error), turn);
+                self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
             }
         }
     }

@@ -1,0 +1,686 @@
+//! Synchronized jobs: taken whole or not at all, started together, ended together.
+//!
+//! ```text
+//!   submit ─ every node can? ─▶ a part in each node's queue ─ all sent, all ready ─▶ start.rs
+//!   a part fails · is canceled · times out · its node goes before the start ─▶ all parts end
+//! ```
+//!
+//! A part waits its turn in its node's queue like any other job; while others are not there yet it
+//! waits at the barrier. What touches a part touches its job, and [`Fleet::settle`] looks at each
+//! touched job once at the end of every call.
+//!
+//! Promises: a job that begins to end ends all of its parts, by an abort for those who are armed
+//! and by a cancel of each queue, which is repeated until it is seen; whoever may have started
+//! although others did not is halted. A start that the gateway's own end has interrupted is never
+//! committed again.
+//!
+//! Absent on purpose: the conversation of a start (`start`), the record (`job::group`).
+
+use super::{
+    Fleet,
+    event::{Effect, Lane, ReplyTo},
+    start::{Edge, Limits, Start, Step},
+    submit::check_script,
+};
+use crate::job::{Ending, Job, JobEntry, group::joined, new_record};
+use keys::{
+    Command, FleetMicros, GroupId, JobId, NodeId, NodeTopic, StopMode,
+    job::{GroupRequest, Offline, Work},
+    record::{ErrorCode, JobError, JobState, PartRecord, Receipt, to_json},
+    start::StartMessage,
+};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
+
+/// Largest clock error of a start when a client says nothing, µs.
+pub(super) const MAX_SKEW_US: f64 = 1_000.0;
+
+/// How long nodes have to become ready when a client says nothing, ms.
+pub(super) const READY_TIMEOUT_MS: f64 = 5_000.0;
+
+/// How long the record of a job whose parts have all succeeded waits for the measurement of its
+/// start, µs: nodes tell it five times, 200 ms apart.
+pub(super) const MEASURING_US: u64 = 1_200_000;
+
+/// What a synchronized job in memory needs beside its [`Job`].
+#[derive(Debug)]
+pub(super) struct Group {
+    limits: Limits,
+    timeout_us: Option<u64>,
+    /// From the first part that was sent on.
+    start: Option<Start>,
+    /// Nodes that may have gone on although others did not: they come to rest at once.
+    halts: BTreeSet<NodeId>,
+}
+
+impl Group {
+    pub(super) fn new(request: &GroupRequest) -> Self {
+        // Far beyond any job, and far from the end of the numbers.
+        let micros = |time: f64, unit_us: f64| (time * unit_us).clamp(1.0, 1e15) as u64;
+        let ready_timeout_ms = request.ready_timeout_ms.unwrap_or(READY_TIMEOUT_MS);
+        Self {
+            limits: Limits {
+                max_skew_us: request.max_skew_us.unwrap_or(MAX_SKEW_US),
+                ready_timeout_us: micros(ready_timeout_ms, 1e3),
+            },
+            timeout_us: request.timeout_s.map(|limit_s| micros(limit_s, 1e6)),
+            start: None,
+            halts: BTreeSet::new(),
+        }
+    }
+}
+
+/// Returns the commands of each part, the barrier of the start in front.
+pub(super) fn parts_of(request: &GroupRequest) -> BTreeMap<NodeId, Arc<[Command]>> {
+    let numbers = request.barrier_numbers();
+    let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
+    let part = |work: &Work| -> Arc<[Command]> {
+        let own = match work {
+            Work::Commands(commands) => commands.as_slice(),
+            Work::Lua(_) => &[],
+        };
+        let head = Command::Barrier { barrier: 0 };
+        std::iter::once(head)
+            .chain(own.iter().map(|command| command.to_command(number)))
+            .collect()
+    };
+    request
+        .nodes
+        .iter()
+        .map(|(node, work)| (*node, part(work)))
+        .collect()
+}
+
+/// Makes a part of a job, without a barrier in its count.
+pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>) -> Job {
+    let total = (commands.len() as u64).saturating_sub(1);
+    let created = whole.record.created;
+    let mut record = new_record(
+        whole.record.job,
+        Some(node),
+        JobState::Queued,
+        total,
+        created,
+    );
+    record.group = whole.record.group;
+    record.updated = whole.record.updated;
+    let entry = JobEntry {
+        record,
+        sequence: whole.sequence,
+        activation: None,
+        ending: None,
+        timeout_us: None,
+        group: None,
+    };
+    let mut part = Job::new(entry, commands);
+    part.head_commands = 1;
+    part
+}
+
+impl Fleet {
+    // ───────────────────────────── in ─────────────────────────────
+
+    pub(super) fn submit_group(
+        &mut self,
+        pattern: &str,
+        request: Result<GroupRequest, JobError>,
+        id_hint: Option<JobId>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let group = GroupId::new(pattern).map_err(|error| {
+            let message = format!("`{pattern}` is no name of a group: {error}");
+            JobError::new(ErrorCode::BadId, message)
+        });
+        let name = group.clone().ok();
+        match group.and_then(|group| Ok((group, request?))) {
+            Err(error) => self.refuse(error, id_hint, None, name, None, reply, effects),
+            Ok((group, request)) => self.submit_parts(group, &request, reply, effects),
+        }
+        if let Some(to) = reply {
+            effects.push(Effect::ReplyEnd { to });
+        }
+    }
+
+    fn submit_parts(
+        &mut self,
+        group: GroupId,
+        request: &GroupRequest,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let exists = |id: &JobId| {
+            let job = self.book.get(id);
+            job.is_some_and(|job| job.state() != JobState::Rejected)
+        };
+        if let Some(id) = request.id.filter(exists) {
+            return self.group_receipt(&id, group, reply, effects);
+        }
+        let parts = parts_of(request);
+        let refusals = self.refusals(request, &parts);
+        if let Some(error) = refusal(&refusals) {
+            let parts = request.nodes.keys().map(|node| {
+                let part = PartRecord {
+                    state: JobState::Rejected,
+                    progress: keys::record::Progress::default(),
+                    error: refusals.get(node).cloned(),
+                    result: None,
+                };
+                (*node, part)
+            });
+            let parts = Some(parts.collect());
+            return self.refuse(error, request.id, None, Some(group), parts, reply, effects);
+        }
+        let id = request.id.unwrap_or_else(|| self.make_id());
+        let mut record = new_record(id, None, JobState::Queued, 0, self.now);
+        record.version += self.version_of_rejected(&id);
+        record.group = Some(group);
+        let entry = JobEntry {
+            record,
+            sequence: self.book.take_sequence(),
+            activation: None,
+            ending: None,
+            timeout_us: None,
+            group: Some(Box::default()),
+        };
+        let mut job = Job::new(entry, Arc::new([]));
+        for (node, commands) in parts {
+            let part = new_part(&job.entry, node, commands);
+            job.parts.insert(node, part);
+        }
+        job.measuring = true;
+        job.begin();
+        let nodes: Vec<NodeId> = job.parts.keys().copied().collect();
+        let mut stored = vec![keys::version::CURRENT];
+        stored
+            .extend(postcard::to_allocvec(request).expect("a request has no part that cannot be"));
+        self.book.insert(job, Some(stored), effects);
+        self.groups.insert(id, Group::new(request));
+        self.group_receipt(&id, group, reply, effects);
+        for node in nodes {
+            self.with_node(node, effects, |node, _| node.enqueue(id));
+        }
+    }
+
+    /// Returns why each node cannot take its part.
+    fn refusals(
+        &self,
+        request: &GroupRequest,
+        parts: &BTreeMap<NodeId, Arc<[Command]>>,
+    ) -> BTreeMap<NodeId, JobError> {
+        let mut refusals = BTreeMap::new();
+        let mut held = self.book.held_commands();
+        for (node, commands) in parts {
+            held += commands.len();
+            let work = &request.nodes[node];
+            let own = &commands[1..];
+            if let Err(error) = self.refusal_of(*node, request.offline, work, own, held) {
+                refusals.insert(*node, error);
+            }
+        }
+        refusals
+    }
+
+    fn refusal_of(
+        &self,
+        node: NodeId,
+        offline: Option<Offline>,
+        work: &Work,
+        own: &[Command],
+        held: usize,
+    ) -> Result<(), JobError> {
+        let refuse = |code, message: String| Err(JobError::new(code, message));
+        let placed = |separator: &'static str| {
+            move |error: JobError| {
+                let message = format!("nodes.{node}{separator}{}", error.message);
+                JobError::new(error.code, message)
+            }
+        };
+        let Some(view) = self.nodes.get(&node) else {
+            let message = format!("no node `{node}` has ever been seen");
+            return refuse(ErrorCode::UnknownNode, message);
+        };
+        view.check(&[], true).map_err(placed(": "))?;
+        if let Work::Lua(_) = work {
+            check_script(view.facts().features).map_err(placed("."))?;
+        }
+        view.check(own, true).map_err(placed("."))?;
+        if view.is_stopped() {
+            let message = format!("node {node} is stopped; release it first");
+            return refuse(ErrorCode::Stopped, message);
+        }
+        // Unlike a plain job it does not wait for a node that is away unless it says so: the
+        // other nodes would be held up.
+        if !view.is_alive() && offline != Some(Offline::Queue) {
+            return refuse(ErrorCode::NodeOffline, format!("node {node} is offline"));
+        }
+        let waiting_count = view.waiting().len();
+        if waiting_count >= self.config.waiting_jobs_max {
+            let message = format!("{waiting_count} jobs wait for node {node}; no more can");
+            return refuse(ErrorCode::TooLarge, message);
+        }
+        if held > self.config.held_commands_max {
+            let message = format!(
+                "all jobs together would hold {held} commands; at most {} can be held",
+                self.config.held_commands_max
+            );
+            return refuse(ErrorCode::TooLarge, message);
+        }
+        Ok(())
+    }
+
+    fn group_receipt(
+        &self,
+        id: &JobId,
+        group: GroupId,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let (Some(to), Some(job)) = (reply, self.book.get(id)) else {
+            return;
+        };
+        let receipt = Receipt {
+            job: *id,
+            state: job.state(),
+        };
+        effects.push(Effect::Reply {
+            to,
+            key: Some(self.config.keys.group_job(&group).as_str().to_owned()),
+            payload: to_json(&receipt),
+        });
+    }
+
+    /// A node said something about a meeting point.
+    pub(super) fn hear_start(
+        &mut self,
+        node: NodeId,
+        message: &StartMessage,
+        effects: &mut Vec<Effect>,
+    ) {
+        let from_node = matches!(
+            message,
+            StartMessage::Ready { .. } | StartMessage::Armed { .. } | StartMessage::Started { .. }
+        );
+        let known = self
+            .nodes
+            .get(&node)
+            .filter(|view| view.numbers().is_some());
+        let Some(view) = known.filter(|_| from_node) else {
+            return;
+        };
+        let edge = match message {
+            StartMessage::Started { first_edge_at, .. } => {
+                let at = view.clock().fleet_from_local(*first_edge_at);
+                let error_us = view.clock().estimate(self.now);
+                let error_us = error_us.map(|estimate| estimate.error_us);
+                at.zip(error_us).map(|(at, error_us)| Edge { at, error_us })
+            }
+            _ => None,
+        };
+        let now = self.now;
+        let of = self.started.iter().copied().find(|id| {
+            let start = self.groups.get(id).and_then(|group| group.start.as_ref());
+            start.is_some_and(|start| start.is_of(node, message))
+        });
+        let start = of.and_then(|id| Some((id, self.groups.get_mut(&id)?.start.as_mut()?)));
+        if let Some((id, start)) = start {
+            start.hear(node, message, edge, now);
+            self.poll_group(&id, effects);
+        }
+    }
+
+    /// Ends a synchronized job because a client says so.
+    pub(super) fn cancel_group(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let open = self.book.get(id).filter(|job| !job.state().is_final());
+        if open.is_some_and(|job| job.entry.ending.is_none()) {
+            self.end_group(id, Ending::Cancel, BTreeMap::new(), effects);
+        }
+        self.poll_group(id, effects);
+    }
+
+    // ───────────────────────────── what follows ─────────────────────────────
+
+    /// Looks at every synchronized job of which something is news.
+    pub(super) fn settle(&mut self, effects: &mut Vec<Effect>) {
+        while let Some(id) = self.group_timers.take_due(self.now) {
+            self.book.touch(&id);
+        }
+        while let Some(id) = self.book.take_touched() {
+            self.poll_group(&id, effects);
+        }
+    }
+
+    fn poll_group(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let open = |fleet: &Self| {
+            let job = fleet.book.get(id);
+            job.is_some_and(|job| job.is_group() && !job.state().is_final())
+        };
+        if open(self) {
+            self.feed_start(id);
+            self.watch_parts(id, effects);
+            self.advance_start(id, effects);
+            self.apply_ending(id, effects);
+            self.measure_start(id, effects);
+        }
+        if open(self) {
+            let due = self.group_due(id);
+            self.group_timers.set(*id, due, self.now);
+        } else if self.groups.remove(id).is_some() {
+            let split = self.book.get(id).is_some_and(|job| job.split);
+            self.split_start_count += u64::from(split);
+            self.started.remove(id);
+            self.group_timers.set(*id, None, self.now);
+        }
+    }
+
+    /// Tells the start where the parts are.
+    fn feed_start(&mut self, id: &JobId) {
+        let (Some(job), Some(group)) = (self.book.get(id), self.groups.get_mut(id)) else {
+            return;
+        };
+        let sent = |part: &Job| part.entry.activation.is_some();
+        if group.start.is_none() && !job.parts.values().any(sent) {
+            return;
+        }
+        let planned = job.entry.group.as_ref().map(|entry| &entry.planned);
+        let none = BTreeMap::new();
+        let start = group.start.get_or_insert_with(|| {
+            let parts = job.parts.iter();
+            let parts = parts.map(|(node, part)| (*node, part.commands.as_ref()));
+            Start::new(group.limits, parts, planned.unwrap_or(&none))
+        });
+        self.started.insert(*id);
+        for (node, part) in &job.parts {
+            if let Some(activation) = part.entry.activation {
+                start.seat(*node, activation.queue, activation.base);
+            }
+            if part.state().is_final() {
+                start.leave(*node, part.state() == JobState::Succeeded);
+                continue;
+            }
+            let view = self.nodes.get(node);
+            let view = view.filter(|view| view.active() == Some(*id));
+            if let Some((queue, executed)) = view.and_then(|view| view.numbers()) {
+                start.note_executed(*node, queue, executed);
+            }
+        }
+        if let Some(at) = job.all_sent_at().filter(|_| !job.has_started()) {
+            // What went by while there was no gateway does not count.
+            let at = at.max(self.started_at.unwrap_or(at));
+            start.limit(at.plus_us(group.limits.ready_timeout_us));
+        }
+    }
+
+    /// Ends the job if one of its parts has ended, is gone before the start, or takes too long.
+    fn watch_parts(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let Some(job) = self.book.get(id).filter(|job| job.entry.ending.is_none()) else {
+            return;
+        };
+        let planned = job.entry.group.as_ref().map(|group| &group.planned);
+        let meets = !job.has_started() || planned.is_some_and(|planned| !planned.is_empty());
+        let mut reasons = BTreeMap::new();
+        for (node, part) in &job.parts {
+            let error = match part.state() {
+                JobState::Failed | JobState::Canceled | JobState::TimedOut => {
+                    let error = part.entry.record.error.clone();
+                    error.unwrap_or_else(|| {
+                        let message = format!("the part was {}", part.state());
+                        JobError::new(ErrorCode::Internal, message)
+                    })
+                }
+                JobState::Lost if !job.has_started() => JobError::new(
+                    ErrorCode::NodeOffline,
+                    "the node went away before the start was over",
+                ),
+                // Its report comes when it is at rest, and that may be too late for the others.
+                JobState::Sent | JobState::Running if meets && self.is_stopped(node) => {
+                    JobError::new(ErrorCode::Stopped, "the node was stopped during the start")
+                }
+                _ => continue,
+            };
+            reasons.insert(*node, error);
+        }
+        let late = self.deadline(id).is_some_and(|at| self.now >= at);
+        match joined(reasons.clone()) {
+            Some(error) => self.end_group(id, Ending::Fail(error), reasons, effects),
+            None if late => self.end_group(id, Ending::Timeout, reasons, effects),
+            None => {}
+        }
+    }
+
+    fn is_stopped(&self, node: &NodeId) -> bool {
+        self.nodes.get(node).is_some_and(|view| view.is_stopped())
+    }
+
+    fn deadline(&self, id: &JobId) -> Option<FleetMicros> {
+        let job = self.book.get(id).filter(|job| job.entry.ending.is_none())?;
+        let timeout_us = self.groups.get(id)?.timeout_us?;
+        Some(job.all_sent_at()?.plus_us(timeout_us))
+    }
+
+    /// Lets the start say what is due, and draws the conclusions.
+    fn advance_start(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        loop {
+            let Some(start) = self
+                .groups
+                .get_mut(id)
+                .and_then(|group| group.start.as_mut())
+            else {
+                return;
+            };
+            let mut said = Vec::new();
+            let clock = |node: &NodeId| {
+                let view = self.nodes.get(node).filter(|view| view.is_alive());
+                view.map(|view| view.clock())
+            };
+            let steps = start.poll(clock, self.now, |node, message| said.push((node, message)));
+            for (node, message) in said {
+                effects.push(self.start_message(&node, &message));
+            }
+            if steps.is_empty() {
+                return;
+            }
+            for (number, step) in steps {
+                match step {
+                    Step::Nothing => {}
+                    Step::Planned(at) => self.book.edit_whole(
+                        id,
+                        |job| {
+                            if let Some(group) = &mut job.entry.group {
+                                group.planned.insert(number, at);
+                            }
+                        },
+                        effects,
+                    ),
+                    Step::Met => self.book.edit_whole(
+                        id,
+                        |job| {
+                            if let Some(group) = &mut job.entry.group {
+                                group.planned.remove(&number);
+                                group.started |= number == 0;
+                            }
+                        },
+                        effects,
+                    ),
+                    Step::Failed(reasons) => {
+                        let reasons: BTreeMap<_, _> = reasons.into_iter().collect();
+                        if let Some(error) = joined(reasons.clone()) {
+                            self.end_group(id, Ending::Fail(error), reasons, effects);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn start_message(&self, node: &NodeId, message: &StartMessage) -> Effect {
+        let mut buffer = [0; 64];
+        let bytes = keys::version::encode(message, &mut buffer)
+            .expect("a message of a start has at most 47 bytes");
+        Effect::Publish {
+            key: self
+                .config
+                .keys
+                .node(node, NodeTopic::Start)
+                .as_str()
+                .to_owned(),
+            payload: bytes.to_vec(),
+            json: false,
+            // Only a commit needs the plan to be durable; whatever else is said depends on the
+            // answer to one, or holds nodes back.
+            lane: match message {
+                StartMessage::Commit { .. } => Lane::Commit,
+                _ => Lane::RealTime,
+            },
+        }
+    }
+
+    /// Lets the job end. `reasons`: of the nodes that are the cause.
+    fn end_group(
+        &mut self,
+        id: &JobId,
+        ending: Ending,
+        reasons: BTreeMap<NodeId, JobError>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let open = self.book.get(id);
+        if !open.is_some_and(|job| job.entry.ending.is_none() && !job.state().is_final()) {
+            return;
+        }
+        self.book
+            .edit_whole(id, |job| job.entry.ending = Some(ending), effects);
+        self.end_parts(id, &reasons, effects);
+    }
+
+    /// Ends every part that has not been told to, also after a start of the gateway.
+    fn apply_ending(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let ending = self.book.get(id).and_then(|job| job.entry.ending.as_ref());
+        if ending.is_some() {
+            self.end_parts(id, &BTreeMap::new(), effects);
+        }
+    }
+
+    fn end_parts(
+        &mut self,
+        id: &JobId,
+        reasons: &BTreeMap<NodeId, JobError>,
+        effects: &mut Vec<Effect>,
+    ) {
+        let now = self.now;
+        let Some(group) = self.groups.get_mut(id) else {
+            return;
+        };
+        if let Some(start) = &mut group.start {
+            group.halts.extend(start.break_off(now));
+        }
+        let halts = group.halts.clone();
+        // Aborts first: they depend on no write.
+        self.advance_aborts(id, effects);
+        let Some(job) = self.book.get(id) else { return };
+        let Some(ending) = job.entry.ending.clone() else {
+            return;
+        };
+        let parts = job.parts.iter().filter(|(_, part)| {
+            let state = part.state();
+            !state.is_final() && (part.entry.ending.is_none() || state == JobState::Lost)
+        });
+        let open: Vec<NodeId> = parts.map(|(node, _)| *node).collect();
+        for node in open {
+            let ending = match (&ending, reasons.get(&node)) {
+                (Ending::Fail(_), Some(own)) => Ending::Fail(own.clone()),
+                (Ending::Fail(error), None) => {
+                    let message = format!("ended because of another part: {}", error.message);
+                    Ending::Fail(JobError::new(error.code, message))
+                }
+                (ending, _) => ending.clone(),
+            };
+            let mode = if halts.contains(&node) {
+                StopMode::Halt
+            } else {
+                StopMode::Decelerate
+            };
+            self.with_node(node, effects, |node, turn| {
+                node.end_job(id, ending, mode, turn);
+            });
+        }
+    }
+
+    fn advance_aborts(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let Some(start) = self
+            .groups
+            .get_mut(id)
+            .and_then(|group| group.start.as_mut())
+        else {
+            return;
+        };
+        let mut said = Vec::new();
+        // Whatever was broken off says nothing but aborts, and asks no clock.
+        let steps = start.poll(
+            |_| None,
+            self.now,
+            |node, message| said.push((node, message)),
+        );
+        debug_assert!(steps.is_empty(), "{steps:?}");
+        for (node, message) in said {
+            effects.push(self.start_message(&node, &message));
+        }
+    }
+
+    /// Takes the nodes' measurement into the record, and lets a record go that waits for it.
+    fn measure_start(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
+        let Some(job) = self.book.get(id).filter(|job| !job.state().is_final()) else {
+            return;
+        };
+        let done = |part: &Job| part.state() == JobState::Succeeded;
+        let all_done = job.parts.values().all(done);
+        let start = self.groups.get(id).and_then(|group| group.start.as_ref());
+        let measured = start.and_then(Start::measured);
+        if job.measuring
+            && job.has_started()
+            && let Some(measured) = measured
+        {
+            self.book.prepare_whole(id, |job| {
+                job.measuring = false;
+                job.entry.record.start = Some(Box::new(measured));
+            });
+            self.book.gather(id, self.now, effects);
+        } else if all_done
+            && (!job.measuring || job.entry.ending.is_some() || self.now >= measuring_until(job))
+        {
+            self.book.prepare_whole(id, |job| job.measuring = false);
+            self.book.gather(id, self.now, effects);
+        }
+    }
+
+    fn group_due(&self, id: &JobId) -> Option<FleetMicros> {
+        let job = self.book.get(id)?;
+        let start = self.groups.get(id).and_then(|group| group.start.as_ref());
+        let done = |part: &Job| part.state() == JobState::Succeeded;
+        let all_done = job.parts.values().all(done);
+        [
+            start.and_then(Start::poll_timeout),
+            self.deadline(id).filter(|_| !all_done),
+            all_done.then(|| measuring_until(job)),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+    }
+}
+
+fn measuring_until(job: &Job) -> FleetMicros {
+    let ends = job.parts.values().map(|part| part.entry.record.updated);
+    ends.max().unwrap_or_default().plus_us(MEASURING_US)
+}
+
+/// Puts refusals together; the first one gives the code. Each names its node already.
+fn refusal(refusals: &BTreeMap<NodeId, JobError>) -> Option<JobError> {
+    let first = refusals.values().next()?;
+    let messages: Vec<&str> = refusals
+        .values()
+        .map(|error| error.message.as_str())
+        .collect();
+    Some(JobError::new(first.code, messages.join("; ")))
+}
