@@ -1692,10 +1692,12 @@ class Together(Case):
     def test_no_node_moves_when_one_is_not_there(self):
         left, right = self.pair()
         down(right)
-        job = {"id": fresh(), "nodes": {left: a_job(), right: a_job()}, "max_skew_us": 50_000}
-        with contextlib.suppress(Refused):
-            get("fleet/group/g1/job", json.dumps(job), JSON)
-            self.finished(job["id"], "failed")
+        job = fresh()
+        self.submit([left, right], id=job)
+        found = self.finished(job, "failed")
+        self.assertEqual(found["error"]["code"], "node_offline")
+        for node in (left, right):
+            self.assertEqual(found["parts"][node]["error"]["code"], "node_offline")
         self.assertEqual(world.fixture.pulses(left), 0)
 
     def test_a_clock_that_is_not_known_well_enough_fails_the_job_before_anything_moves(self):

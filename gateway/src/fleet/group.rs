@@ -159,7 +159,18 @@ impl Fleet {
             return self.group_receipt(&id, group, reply, effects);
         }
         let parts = parts_of(request);
-        let refusals = self.refusals(request, &parts);
+        let mut refusals = self.refusals(request, &parts);
+        // What is wrong with the job is refused. That a node is away or stopped just now is not the
+        // job's fault: it is taken, and has failed before anything moved.
+        let passing = |error: &JobError| match error.code {
+            ErrorCode::NodeOffline => request.offline != Some(Offline::Reject),
+            ErrorCode::Stopped => true,
+            _ => false,
+        };
+        let mut away = BTreeMap::new();
+        if refusals.values().all(passing) {
+            away = std::mem::take(&mut refusals);
+        }
         if let Some(error) = refusal(&refusals) {
             let parts = request.nodes.keys().map(|node| {
                 let part = PartRecord {
@@ -199,6 +210,9 @@ impl Fleet {
         self.book.insert(job, Some(stored), effects);
         self.groups.insert(id, Group::new(request));
         self.group_receipt(&id, group, reply, effects);
+        if let Some(error) = refusal(&away) {
+            return self.end_group(&id, Ending::Fail(error), away, effects);
+        }
         for node in nodes {
             self.with_node(node, effects, |node, _| node.enqueue(id));
         }
