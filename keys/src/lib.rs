@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Read in this order: [`topics`] (the table of keys), [`command`] (what a node can be told),
-//! [`batch`] (how commands travel), [`status`] and [`stop`] (what comes back), [`job`] (the JSON
+//! [`batch`] (how commands travel), [`status`] and [`stop`] (what comes back), `job` (the JSON
 //! side, behind the feature `json`), [`version`] (how messages may change).
 //!
 //! This crate imports nothing of ours and holds no behaviour beyond reading, writing and

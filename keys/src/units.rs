@@ -137,7 +137,7 @@ impl fmt::Display for FleetMicros {
 
 #[cfg(feature = "json")]
 pub mod rfc3339 {
-    //! `#[serde(with = "rfc3339")]` for a [`FleetMicros`](super::FleetMicros) in JSON.
+    //! `#[serde(with = "rfc3339")]` for a [`FleetMicros`] in JSON.
     use super::FleetMicros;
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
