@@ -142,6 +142,25 @@ fn sixteen_nodes_on_a_quiet_link_start_within_50_us() {
 }
 
 #[test]
+fn a_link_with_holds_and_a_slower_way_down_keeps_the_claim() {
+    // The channel is held for 100 ms twice in a second, and the way to the node takes half as long
+    // again as the way back.
+    let delay = Delay::Radio {
+        median_us: 2_000.0,
+        p99_us: 20_000.0,
+        down_factor: 1.5,
+        holds_per_s: 2.0,
+        hold_us: 100_000,
+    };
+    let outcome = starts(3, 8, 20, delay);
+    let worst_us = percentile(&outcome.true_us, 1.0);
+    let (count, inside) = (outcome.true_us.len(), outcome.inside);
+    println!("{count} starts, worst true skew {worst_us:.0} µs, within the claim {inside}");
+    assert_eq!((count, inside), (20, 20), "{} failed", outcome.failed);
+    assert!(worst_us <= 1_000.0, "{worst_us}");
+}
+
+#[test]
 fn ten_minutes_with_a_barrier_every_ten_seconds_stay_together_at_each() {
     let mut world = world(9, 2, Delay::radio(2_000.0, 20_000.0));
     let mut commands = Vec::new();
