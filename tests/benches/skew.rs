@@ -182,6 +182,8 @@ fn get(session: &Session, key: &str, payload: Option<&Value>) -> Vec<Value> {
 
 fn wait_for_clocks(session: &Session) {
     let since = Instant::now();
+    let changes = session.declare_subscriber("fleet/node/*/state").wait();
+    let changes = changes.expect("an open session");
     loop {
         let nodes = get(session, "fleet/node/*/state", None);
         let known = |node: &&Value| {
@@ -193,20 +195,23 @@ fn wait_for_clocks(session: &Session) {
             return;
         }
         assert!(since.elapsed() < PATIENCE, "{nodes:?}");
-        std::thread::sleep(Duration::from_millis(200));
+        let _ = changes.recv_timeout(PATIENCE).expect("an open session");
     }
 }
 
 fn wait_for_end(session: &Session, id: &str) -> Value {
     let since = Instant::now();
+    let key = format!("fleet/job/{id}");
+    let changes = session.declare_subscriber(&key).wait();
+    let changes = changes.expect("an open session");
     loop {
-        let records = get(session, &format!("fleet/job/{id}"), None);
+        let records = get(session, &key, None);
         let record = records.first().cloned().unwrap_or_default();
         let state = record["state"].as_str().unwrap_or("");
         if ["succeeded", "failed", "canceled", "timed_out", "rejected"].contains(&state) {
             return record;
         }
         assert!(since.elapsed() < PATIENCE, "{record}");
-        std::thread::sleep(Duration::from_millis(50));
+        let _ = changes.recv_timeout(PATIENCE).expect("an open session");
     }
 }

@@ -26,7 +26,7 @@ use crate::job::{Ending, Job, JobEntry, group::joined, new_record};
 use keys::{
     Command, FleetMicros, GroupId, JobId, NodeId, NodeTopic, StopMode,
     job::{GroupRequest, Offline, Work},
-    record::{ErrorCode, JobError, JobState, PartRecord, Receipt, to_json},
+    record::{ErrorCode, JobError, JobState, PartRecord},
     start::StartMessage,
 };
 use std::{
@@ -151,12 +151,13 @@ impl Fleet {
         reply: Option<ReplyTo>,
         effects: &mut Vec<Effect>,
     ) {
+        let key = self.config.keys.group_job(&group);
         let exists = |id: &JobId| {
             let job = self.book.get(id);
             job.is_some_and(|job| job.state() != JobState::Rejected)
         };
         if let Some(id) = request.id.filter(exists) {
-            return self.group_receipt(&id, group, reply, effects);
+            return self.receipt(&id, &key, reply, effects);
         }
         let parts = parts_of(request);
         let mut refusals = self.refusals(request, &parts);
@@ -209,7 +210,7 @@ impl Fleet {
             .extend(postcard::to_allocvec(request).expect("a request has no part that cannot be"));
         self.book.insert(job, Some(stored), effects);
         self.groups.insert(id, Group::new(request));
-        self.group_receipt(&id, group, reply, effects);
+        self.receipt(&id, &key, reply, effects);
         if let Some(error) = refusal(&away) {
             return self.end_group(&id, Ending::Fail(error), away, effects);
         }
@@ -283,27 +284,6 @@ impl Fleet {
             return refuse(ErrorCode::TooLarge, message);
         }
         Ok(())
-    }
-
-    fn group_receipt(
-        &self,
-        id: &JobId,
-        group: GroupId,
-        reply: Option<ReplyTo>,
-        effects: &mut Vec<Effect>,
-    ) {
-        let (Some(to), Some(job)) = (reply, self.book.get(id)) else {
-            return;
-        };
-        let receipt = Receipt {
-            job: *id,
-            state: job.state(),
-        };
-        effects.push(Effect::Reply {
-            to,
-            key: Some(self.config.keys.group_job(&group).as_str().to_owned()),
-            payload: to_json(&receipt),
-        });
     }
 
     /// A node said something about a meeting point.

@@ -186,7 +186,8 @@ impl Fleet {
     ) {
         match (outcome, node) {
             (Ok(id), Some(node)) => {
-                self.receipt(&id, node, reply, effects);
+                let key = self.config.keys.node(&node, NodeTopic::Job);
+                self.receipt(&id, &key, reply, effects);
                 self.with_node(node, effects, |node, _| node.enqueue(id));
             }
             (Ok(_), None) => unreachable!("a job is accepted for a node only"),
@@ -206,16 +207,18 @@ impl Fleet {
             .get(id)
             .is_some_and(|job| job.state() != JobState::Rejected);
         if exists {
-            self.receipt(id, asked, reply, effects);
+            let key = self.config.keys.node(&asked, NodeTopic::Job);
+            self.receipt(id, &key, reply, effects);
         }
         exists
     }
 
-    /// Answers a get on the job key of the node that was `asked`, which need not be the job's.
-    fn receipt(
+    /// Answers a get on `key`, the job key of the node or group that was asked; it need not be the
+    /// job's own.
+    pub(super) fn receipt(
         &self,
         id: &JobId,
-        asked: NodeId,
+        key: &str,
         reply: Option<ReplyTo>,
         effects: &mut Vec<Effect>,
     ) {
@@ -226,10 +229,9 @@ impl Fleet {
             job: *id,
             state: job.state(),
         };
-        let key = self.config.keys.node(&asked, NodeTopic::Job);
         effects.push(Effect::Reply {
             to,
-            key: Some(key.as_str().to_owned()),
+            key: Some(key.to_owned()),
             payload: to_json(&receipt),
         });
     }

@@ -7,6 +7,7 @@ use node::{
     LinkLoss,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, RING_COMMANDS_DEFAULT},
 };
+pub use pico::session::Credentials;
 
 /// What is kept for the oracle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,24 +24,6 @@ pub enum Recording {
 
 /// Changes of pins that `--check` keeps for each node and boot: four million are 96 MB.
 pub const RECORDED_EDGES_MAX: usize = 4_000_000;
-
-/// Name and password for a router that asks for them.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Credentials {
-    /// The name.
-    pub user: String,
-    /// The password.
-    pub password: String,
-}
-
-impl std::fmt::Debug for Credentials {
-    /// Leaves the password out.
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Credentials")
-            .field("user", &self.user)
-            .finish_non_exhaustive()
-    }
-}
 
 /// See the module.
 #[derive(Clone, Debug)]

@@ -16,7 +16,7 @@ use motion::limits::CHANNELS;
 use node::{Inbound, run::NodeLink};
 use pico::{
     driver::{self, App, Connect, ConnectError, Next, Timer},
-    session::{Credentials, Session, SessionConfig},
+    session::{Session, SessionConfig},
 };
 use std::{
     hash::{BuildHasher, RandomState},
@@ -210,10 +210,7 @@ async fn boot(shared: Arc<Shared>, address: String) {
         (config.keys.clone(), config.name, config.credentials.clone())
     };
     let config = SessionConfig {
-        credentials: credentials.map(|credentials| Credentials {
-            user: credentials.user,
-            password: credentials.password,
-        }),
+        credentials,
         ..SessionConfig::default()
     };
     let mut session = Session::new(config, random());

@@ -88,12 +88,6 @@ impl Axis {
         self.segments.room() >= SEGMENTS_PER_COMMAND
     }
 
-    pub(crate) fn begin(&mut self) {
-        self.segments.clear();
-        self.encoder.reset();
-        self.planned_ticks = 0;
-    }
-
     pub(crate) fn push(&mut self, segment: Segment) {
         self.planned_ticks += match segment {
             Segment::Steps {

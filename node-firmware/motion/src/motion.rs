@@ -394,11 +394,6 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.barrier == Barrier::Waiting
     }
 
-    /// Returns whether pulses are leaving.
-    pub fn is_moving(&self) -> bool {
-        (0..self.axis_count).any(|axis| self.speed_mhz(AxisId(axis as u8)) != 0)
-    }
-
     /// Returns the exact position of an axis, as of the last `now`, steps; 0 for an axis that does
     /// not exist.
     pub fn position_steps(&self, axis: AxisId) -> i64 {
@@ -752,9 +747,6 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     timeline
                 }
                 Phase::Rest if takes_time => {
-                    for axis in self.backend.axes() {
-                        axis.begin();
-                    }
                     let at = self.now.max(self.quiet_at);
                     lead_ticks = self.resume_at.0.saturating_sub(at.0).max(self.lead_ticks);
                     starts_at = Some(at);

@@ -267,13 +267,7 @@ fn a_bad_command_is_named_and_nothing_of_its_batch_is_done() {
 #[test]
 fn credit_grows_only_and_what_it_promises_is_taken() {
     for seed in 1..=20_u64 {
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let mut random = move |below: u64| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            state % below
-        };
+        let mut random = rig::random(seed);
         let mut small = config();
         small.ring_commands = 64;
         let mut rig = Rig::new(small);

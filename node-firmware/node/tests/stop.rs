@@ -246,13 +246,7 @@ fn whatever_the_stop_says_it_is_a_stop() {
 #[test]
 fn stops_and_orders_at_random_keep_position_and_queue_true() {
     for seed in 1..=60_u64 {
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let mut random = move |below: u64| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            state % below
-        };
+        let mut random = rig::random(seed);
         let mut rig = Rig::new(config());
         let mut flush_last = 0;
         for step in 0..60 {

@@ -40,6 +40,17 @@ pub fn job(name: &str) -> JobId {
     JobId::new(name).expect("legal")
 }
 
+/// Numbers below a bound, from a seed that is not 0 (xorshift).
+pub fn random(seed: u64) -> impl FnMut(u64) -> u64 {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    move |below| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state % below
+    }
+}
+
 /// The bytes of a batch.
 pub fn batch_bytes(header: BatchHeader, commands: &[Command]) -> Vec<u8> {
     let mut writer = BatchWriter::new();
