@@ -248,12 +248,20 @@ async fn a_clock_probe_is_answered_in_the_nodes_own_time() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_that_is_gone_takes_its_token_along_and_a_reboot_brings_another_queue() {
+async fn a_node_that_is_gone_takes_its_token_along() {
+    let bench = Bench::new("left", |_| {}).await;
+    let _ = bench.node.shutdown().await;
+    // The router may say more than once that the node is there, but then that it is gone.
+    while next(&bench.alive).await.kind() != SampleKind::Delete {}
+}
+
+/// Its token says nothing here: a router that sees the new connection before the end of the
+/// old one never misses the node. Only the queue's id tells a reboot.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reboot_brings_another_queue() {
     let bench = Bench::new("left", |_| {}).await;
     let first = bench.status_where(|_| true).await;
     bench.node.reset();
-    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Delete);
-    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Put);
     let second = bench
         .status_where(|status| status.queue != first.queue)
         .await;
@@ -261,7 +269,6 @@ async fn a_node_that_is_gone_takes_its_token_along_and_a_reboot_brings_another_q
     assert_eq!(second.queue.flush, 0);
     let lives = bench.node.shutdown().await;
     assert_eq!(lives.len(), 2);
-    assert_eq!(next(&bench.alive).await.kind(), SampleKind::Delete);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
