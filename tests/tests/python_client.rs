@@ -19,12 +19,13 @@ use keys::{AxisId, NodeId};
 use std::{
     collections::HashMap,
     fs::File,
+    net::{Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
     process::{Command, Output},
 };
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
-    net::{TcpListener, TcpStream},
+    net::{TcpListener, TcpSocket, TcpStream},
 };
 
 /// The version of `eclipse-zenoh`: the one of the gateway's zenoh.
@@ -133,6 +134,9 @@ fn run(command: &mut Command) -> Result<()> {
 
 /// A gateway and its nodes, moved by lines of text.
 struct Fixture {
+    /// Where the gateway listens. Bound here too, so that the system gives the port to nobody else
+    /// while the gateway restarts; only on Linux may two sockets share it as long as one listens.
+    _port: Option<TcpSocket>,
     store: tempfile::TempDir,
     /// `None` while it restarts.
     gateway: Option<Service>,
@@ -143,13 +147,23 @@ struct Fixture {
 impl Fixture {
     async fn start() -> Result<Self> {
         let store = tempfile::tempdir()?;
-        let gateway = gateway_on("tcp/127.0.0.1:0", store.path()).await?;
+        let mut listen: SocketAddr = (Ipv4Addr::LOCALHOST, 0).into();
+        let mut port = None;
+        if cfg!(target_os = "linux") {
+            let socket = TcpSocket::new_v4()?;
+            socket.set_reuseaddr(true)?;
+            socket.bind(listen)?;
+            listen = socket.local_addr()?;
+            port = Some(socket);
+        }
+        let gateway = gateway_on(&format!("tcp/{listen}"), store.path()).await?;
         let locator = gateway
             .locators()
             .first()
             .context("the gateway listens nowhere")?
             .clone();
         Ok(Self {
+            _port: port,
             store,
             gateway: Some(gateway),
             locator,
@@ -209,6 +223,8 @@ impl Fixture {
         let config = EmulatorConfig {
             connect: self.locator.clone(),
             axis_count,
+            // The gateway restarts while nodes move, and a busy machine takes its time for that.
+            link_loss_after_us: 600_000_000,
             ..EmulatorConfig::new(NodeId::new(name)?)
         };
         ensure!(!self.nodes.contains_key(name), "it is there");

@@ -51,8 +51,9 @@ const PORT_ATTEMPTS_MAX: usize = 16;
 /// How long the router has for taking declarations, and a session for closing.
 const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
 
-/// How long another gateway has for answering before this one takes the fleet.
-const RIVAL_PATIENCE: Duration = Duration::from_secs(1);
+/// How long another gateway has for answering before this one takes the fleet: one on a busy
+/// machine is a rival too. Where there is none, nobody waits for that.
+const RIVAL_PATIENCE: Duration = Duration::from_secs(10);
 
 /// The bytes of a job as zenoh keeps them: not copied before they are read.
 #[derive(Clone, Debug, Default)]

@@ -132,11 +132,17 @@ impl Connect for Tcp {
 struct NodeApp {
     shared: Arc<Shared>,
     link: NodeLink,
+    boot: u32,
 }
 
 impl App for NodeApp {
     fn poll(&mut self, now_us: u64, session: &mut Session) -> Next {
         let mut node = self.shared.node();
+        if node.node().queue().boot != self.boot {
+            // The power was cut a moment ago: this session ends without another word, and its time
+            // may be that of the boot before, far ahead of the present one.
+            return Next::default();
+        }
         let wake_at = self.link.exchange(&mut *node, session, LocalMicros(now_us));
         Next {
             wake_at_us: wake_at.map(|at| at.0),
@@ -204,10 +210,16 @@ async fn live(shared: Arc<Shared>, address: String) {
 }
 
 async fn boot(shared: Arc<Shared>, address: String) {
-    let (keys, name, credentials) = {
+    let (keys, name, credentials, boot) = {
         let node = shared.node();
         let config = node.config();
-        (config.keys.clone(), config.name, config.credentials.clone())
+        let boot = node.node().queue().boot;
+        (
+            config.keys.clone(),
+            config.name,
+            config.credentials.clone(),
+            boot,
+        )
     };
     let config = SessionConfig {
         credentials,
@@ -219,6 +231,7 @@ async fn boot(shared: Arc<Shared>, address: String) {
     let mut app = NodeApp {
         shared: shared.clone(),
         link,
+        boot,
     };
     let timer = NodeTimer(shared);
     driver::run(&mut session, &mut Tcp { address }, &timer, &mut app).await;

@@ -25,7 +25,7 @@ use pico::{
     Congestion, Event, KeyRef, PublisherId, PutOptions, Session, SessionConfig,
     driver::{self, App, Next},
 };
-use router::{Tcp, Wall, open_client, open_router};
+use router::{Target, Tcp, Wall, open_client, open_router};
 use zenoh::qos::CongestionControl;
 
 /// Each figure takes about this long.
@@ -110,7 +110,10 @@ fn ours(
                 end,
                 received,
             };
-            driver::run(&mut session, &mut Tcp { address }, &Wall::new(), &mut load).await;
+            let mut tcp = Tcp {
+                target: Target::new(address),
+            };
+            driver::run(&mut session, &mut tcp, &Wall::new(), &mut load).await;
         });
     })
 }

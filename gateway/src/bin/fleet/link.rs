@@ -192,6 +192,11 @@ impl Link {
         &self.keys
     }
 
+    /// Returns the longest wait for an answer.
+    pub(crate) fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
     /// Asks the gateway, with a payload or without.
     ///
     /// No answer at all is an empty list if there is a gateway that has nothing to say.

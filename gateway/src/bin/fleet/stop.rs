@@ -11,9 +11,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long nodes have for confirming.
-const CONFIRM_WITHIN: Duration = Duration::from_secs(5);
-
 /// What a node confirmed, and how long after the request.
 struct Confirmed {
     after: Duration,
@@ -47,7 +44,7 @@ pub(crate) async fn stop(
     }
     let stopped = |status: &Status| matches!(status.state, NodeState::Stopped | NodeState::Fault);
     let confirmations = confirm(link, &statuses, &nodes, asked, stopped).await?;
-    show_confirmations(&confirmations, "stopped", json)
+    show_confirmations(link, &confirmations, "stopped", json)
 }
 
 /// `fleet release`
@@ -77,7 +74,7 @@ pub(crate) async fn release(link: &Link, pattern: &str, json: bool) -> Result<()
     if !nodes.is_empty() {
         let released = |status: &Status| status.state != NodeState::Stopped;
         let confirmations = confirm(link, &statuses, &nodes, asked, released).await?;
-        show_confirmations(&confirmations, "released", json)?;
+        show_confirmations(link, &confirmations, "released", json)?;
     }
     if refused {
         return Err(Failure::Failed(None));
@@ -94,7 +91,7 @@ async fn confirm(
     wanted: impl Fn(&Status) -> bool,
 ) -> Result<Confirmations, Failure> {
     let mut confirmations: Confirmations = nodes.iter().map(|node| (*node, None)).collect();
-    let deadline = tokio::time::Instant::from_std(asked + CONFIRM_WITHIN);
+    let deadline = tokio::time::Instant::from_std(asked + link.timeout());
     while confirmations.values().any(Option::is_none) {
         let sample = tokio::select! {
             sample = statuses.recv_async() => sample?,
@@ -118,6 +115,7 @@ async fn confirm(
 }
 
 fn show_confirmations(
+    link: &Link,
     confirmations: &Confirmations,
     word: &str,
     json: bool,
@@ -165,7 +163,7 @@ fn show_confirmations(
         "{} of {} nodes did not confirm within {} s: {}",
         silent.len(),
         confirmations.len(),
-        CONFIRM_WITHIN.as_secs(),
+        link.timeout().as_secs_f64(),
         silent.join(", ")
     )))
 }

@@ -28,48 +28,84 @@ use tokio::{
 /// Generous: only a hang reaches it.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
+/// How often a port that was free and then taken by somebody else is replaced by another one.
+const PORT_ATTEMPTS_MAX: usize = 16;
+
 /// Opens a router on a port from the system.
 pub(crate) async fn open_router() -> (zenoh::Session, SocketAddr) {
-    let address = free_address();
-    (open_router_at(address, |_| {}).await, address)
+    open_router_with(|_| {}).await
 }
 
-/// An address that nobody listens on.
-pub(crate) fn free_address() -> SocketAddr {
-    std::net::TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-}
-
-/// Opens a router on an address; `configure` may add to its configuration.
-pub(crate) async fn open_router_at(
-    address: SocketAddr,
-    configure: impl FnOnce(&mut zenoh::Config),
-) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    let mut set = |key: &str, value: &str| config.insert_json5(key, value).unwrap();
-    set("mode", r#""router""#);
-    set("listen/endpoints", &format!(r#"["tcp/{address}"]"#));
-    set("scouting/multicast/enabled", "false");
-    set("scouting/gossip/enabled", "false");
-    configure(&mut config);
-    zenoh::open(config).await.unwrap()
+/// Opens a router on a port from the system; `configure` may add to its configuration.
+pub(crate) async fn open_router_with(
+    configure: impl Fn(&mut zenoh::Config),
+) -> (zenoh::Session, SocketAddr) {
+    let mut attempts = 0;
+    loop {
+        attempts += 1;
+        let address = std::net::TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap();
+        let mut config = patient_config();
+        let mut set = |key: &str, value: &str| config.insert_json5(key, value).unwrap();
+        set("mode", r#""router""#);
+        set("listen/endpoints", &format!(r#"["tcp/{address}"]"#));
+        set("scouting/gossip/enabled", "false");
+        configure(&mut config);
+        match zenoh::open(config).await {
+            Ok(router) => return (router, address),
+            // Between choosing a port and listening on it somebody else may have taken it.
+            Err(error) => assert!(attempts < PORT_ATTEMPTS_MAX, "{error}"),
+        }
+    }
 }
 
 /// Opens a client of the zenoh crate.
 pub(crate) async fn open_client(address: SocketAddr) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
+    let mut config = patient_config();
     let mut set = |key: &str, value: &str| config.insert_json5(key, value).unwrap();
     set("mode", r#""client""#);
     set("connect/endpoints", &format!(r#"["tcp/{address}"]"#));
-    set("scouting/multicast/enabled", "false");
     zenoh::open(config).await.unwrap()
 }
 
-/// Connects to one address.
+/// A configuration in which a busy machine is not taken for a dead peer.
+fn patient_config() -> zenoh::Config {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: u128| config.insert_json5(key, &value.to_string()).unwrap();
+    set("transport/unicast/open_timeout", PATIENCE.as_millis());
+    set("transport/unicast/accept_timeout", PATIENCE.as_millis());
+    set("transport/link/tx/lease", PATIENCE.as_millis());
+    set(
+        "transport/link/tx/queue/congestion_control/block/wait_before_close",
+        PATIENCE.as_micros(),
+    );
+    set("queries_default_timeout", PATIENCE.as_millis());
+    config
+        .insert_json5("scouting/multicast/enabled", "false")
+        .unwrap();
+    config
+}
+
+/// Where a client connects to, if anywhere: what the test says last.
+#[derive(Clone)]
+pub(crate) struct Target(Arc<Mutex<Option<SocketAddr>>>);
+
+impl Target {
+    pub(crate) fn new(address: SocketAddr) -> Self {
+        Self(Arc::new(Mutex::new(Some(address))))
+    }
+
+    /// Sends the next attempt elsewhere; `None`: nobody is there.
+    pub(crate) fn set(&self, address: Option<SocketAddr>) {
+        *self.0.lock().unwrap() = address;
+    }
+}
+
+/// Connects to its target.
 pub(crate) struct Tcp {
-    pub(crate) address: SocketAddr,
+    pub(crate) target: Target,
 }
 
 impl Connect for Tcp {
@@ -77,7 +113,8 @@ impl Connect for Tcp {
     type Writer = FromTokio<OwnedWriteHalf>;
 
     async fn connect(&mut self) -> Result<(Self::Reader, Self::Writer), ConnectError> {
-        let stream = TcpStream::connect(self.address)
+        let address = *self.target.0.lock().unwrap();
+        let stream = TcpStream::connect(address.ok_or(ConnectError)?)
             .await
             .map_err(|_| ConnectError)?;
         stream.set_nodelay(true).map_err(|_| ConnectError)?;
@@ -149,7 +186,13 @@ pub(crate) struct Client {
 }
 
 impl Client {
-    pub(crate) fn start(address: SocketAddr, config: SessionConfig) -> Self {
+    /// Starts one that takes a busy machine for nothing else.
+    pub(crate) fn start(target: Target, config: SessionConfig) -> Self {
+        let config = SessionConfig {
+            lease_us: PATIENCE.as_micros() as u64,
+            connect_timeout_us: PATIENCE.as_micros() as u64,
+            ..config
+        };
         let errands = Arc::<Mutex<Vec<Errand>>>::default();
         let errand_came = Arc::new(Notify::new());
         let quit = Arc::new(AtomicU64::new(0));
@@ -166,7 +209,7 @@ impl Client {
         // On a threaded runtime: the driver's future is Send when those below it are.
         let task = tokio::spawn(async move {
             let mut session = Session::new(config, seed);
-            let mut tcp = Tcp { address };
+            let mut tcp = Tcp { target };
             driver::run(&mut session, &mut tcp, &Wall::new(), &mut porter).await;
         });
         Self {
@@ -179,9 +222,14 @@ impl Client {
     }
 
     pub(crate) async fn open(address: SocketAddr, config: SessionConfig) -> Self {
-        let mut client = Self::start(address, config);
-        assert_eq!(client.event().await, Event::Opened);
+        let mut client = Self::start(Target::new(address), config);
+        client.opened().await;
         client
+    }
+
+    /// Waits for the session.
+    pub(crate) async fn opened(&mut self) {
+        assert_eq!(self.event().await, Event::Opened);
     }
 
     /// Does something with the session and brings the result back.
@@ -215,7 +263,7 @@ impl Client {
     /// No other event may be due.
     pub(crate) async fn settled(&mut self) {
         let ask = |session: &mut Session, now_us| {
-            session.get("nobody/knows", "", None, &GetOptions::default(), now_us)
+            session.get("nobody/knows", "", None, &patient_get(), now_us)
         };
         let query = self.with(ask).await.unwrap();
         assert_eq!(
@@ -240,6 +288,14 @@ impl Client {
             events.push(event);
         }
         events
+    }
+}
+
+/// Options of a question that waits for its answers as long as the test does.
+pub(crate) fn patient_get() -> GetOptions {
+    GetOptions {
+        timeout_us: PATIENCE.as_micros() as u64,
+        ..GetOptions::default()
     }
 }
 
