@@ -13,6 +13,9 @@ pub const COMMAND_WORDS: usize = 8;
 /// Axes that a [`Command::Line`] coordinates.
 pub const LINE_AXES: usize = 4;
 
+/// Highest number of a named position of C.
+pub const POSITION_C_MAX: u8 = 4;
+
 /// One thing a node can be told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Command {
@@ -92,6 +95,18 @@ pub enum Command {
         /// Number of the meeting point within its job.
         barrier: u16,
     },
+    /// Moves C to one of its named positions.
+    MoveC {
+        /// Number of the position, 0 to [`POSITION_C_MAX`].
+        index: u8,
+    },
+    /// Moves D to one of its two ends.
+    MoveD {
+        /// The end: ON, else OFF.
+        on: bool,
+    },
+    /// Asks for a line of text in the node's log: where C and D are.
+    StatusCd,
 }
 
 /// How a ramped move speeds up and slows down.
@@ -138,6 +153,8 @@ impl Features {
     pub const BARRIERS: Self = Self(8);
     /// Lua scripts.
     pub const LUA: Self = Self(16);
+    /// `movc`, `movd`, `statcd`.
+    pub const CD: Self = Self(32);
 
     /// Returns whether all of `others` are here.
     pub const fn has(self, others: Self) -> bool {
@@ -170,10 +187,12 @@ impl Command {
             Self::Ramp { .. } | Self::RampTo { .. } | Self::Line { .. } => Features::RAMPS,
             Self::Home { .. } => Features::HOMING,
             Self::Barrier { .. } => Features::BARRIERS,
+            Self::MoveC { .. } | Self::MoveD { .. } | Self::StatusCd => Features::CD,
         }
     }
 
-    /// Returns the highest axis number that the command uses, `None` if it uses none.
+    /// Returns the highest axis number that the command uses, `None` if it uses none. C and D have
+    /// names, not numbers.
     pub fn axis_max(&self) -> Option<AxisId> {
         match *self {
             Self::Move { axis, .. }
@@ -186,9 +205,13 @@ impl Command {
                 .iter()
                 .rposition(|count| *count != 0)
                 .map(|index| AxisId(index as u8)),
-            Self::Pause { .. } | Self::Laser { .. } | Self::LidarRead | Self::Barrier { .. } => {
-                None
-            }
+            Self::Pause { .. }
+            | Self::Laser { .. }
+            | Self::LidarRead
+            | Self::Barrier { .. }
+            | Self::MoveC { .. }
+            | Self::MoveD { .. }
+            | Self::StatusCd => None,
         }
     }
 
@@ -270,6 +293,9 @@ impl Command {
             }
             Self::Home { axis } => [head(9, axis), 0, 0, 0, 0, 0, 0, 0],
             Self::Barrier { barrier } => [head(10, none), u32::from(barrier), 0, 0, 0, 0, 0, 0],
+            Self::MoveC { index } => [head(11, none), u32::from(index), 0, 0, 0, 0, 0, 0],
+            Self::MoveD { on } => [head(12, none), u32::from(on), 0, 0, 0, 0, 0, 0],
+            Self::StatusCd => [head(13, none), 0, 0, 0, 0, 0, 0, 0],
         }
     }
 
@@ -326,6 +352,17 @@ impl Command {
             10 => Self::Barrier {
                 barrier: u16::try_from(words[1]).map_err(|_| WordsError)?,
             },
+            11 => Self::MoveC {
+                index: u8::try_from(words[1]).map_err(|_| WordsError)?,
+            },
+            12 => Self::MoveD {
+                on: match words[1] {
+                    0 => false,
+                    1 => true,
+                    _ => return Err(WordsError),
+                },
+            },
+            13 => Self::StatusCd,
             _ => return Err(WordsError),
         })
     }

@@ -5,7 +5,7 @@
 
 use crate::{
     AxisId, Command, JobId, NodeId,
-    command::{LINE_AXES, Ramp, RampShape},
+    command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
     record::{ErrorCode, JobError},
 };
 use core::{fmt, marker::PhantomData};
@@ -25,6 +25,9 @@ pub const JOB_COMMANDS_MAX: usize = 1_000_000;
 
 /// Longest pause, ms: one day.
 pub const PAUSE_MS_MAX: u32 = 86_400_000;
+
+/// Highest speed of a ramp or line, Hz: the one of a move whose steps are 1 µs apart.
+pub const SPEED_HZ_MAX: u32 = 1_000_000;
 
 /// Longest move, µs: the longest that a node can count, 9,139 years.
 pub const MOVE_US_MAX: u64 = 1 << 58;
@@ -122,6 +125,15 @@ pub enum JobCommand {
     /// A meeting point.
     #[serde(deserialize_with = "object")]
     Barrier(BarrierFields),
+    /// C to a named position.
+    #[serde(rename = "movc", deserialize_with = "object")]
+    MoveC(MoveCFields),
+    /// D on or off.
+    #[serde(rename = "movd", deserialize_with = "object")]
+    MoveD(MoveDFields),
+    /// Where C and D are.
+    #[serde(rename = "statcd", deserialize_with = "object")]
+    StatusCd(StatusCdFields),
 }
 
 /// Reads the fields of a command. In text they have names: serde alone would take an array, too.
@@ -189,7 +201,7 @@ fields! {
         axis: u8,
         /// Steps with sign, never 0.
         steps: i32,
-        /// Speed, Hz, from 1.
+        /// Speed, Hz, 1 to [`SPEED_HZ_MAX`].
         speed_hz: u32,
         /// Acceleration, steps/s², from 1.
         accel: u32,
@@ -211,7 +223,7 @@ fields! {
         axis: u8,
         /// Target, steps.
         position: i64,
-        /// Speed, Hz, from 1.
+        /// Speed, Hz, 1 to [`SPEED_HZ_MAX`].
         speed_hz: u32,
         /// Acceleration, steps/s², from 1.
         accel: u32,
@@ -231,7 +243,7 @@ fields! {
     LineFields {
         /// Steps with sign of each axis from 0 on, one to four of them, not all 0.
         steps: Vec<i32>,
-        /// Speed of the axis with most steps, Hz, from 1.
+        /// Speed of the axis with most steps, Hz, 1 to [`SPEED_HZ_MAX`].
         speed_hz: u32,
         /// Its acceleration, steps/s², from 1.
         accel: u32,
@@ -280,6 +292,25 @@ fields! {
         /// Name of the meeting point, the same in every part that meets there.
         name: String,
     }
+}
+fields! {
+    /// Fields of `movc`.
+    MoveCFields {
+        /// Number of the position, 0 to [`POSITION_C_MAX`]. Wide, so that every wrong one gets the
+        /// same answer.
+        position: i64,
+    }
+}
+fields! {
+    /// Fields of `movd`.
+    MoveDFields {
+        /// To ON, else to OFF.
+        on: bool,
+    }
+}
+fields! {
+    /// `statcd` has no fields.
+    StatusCdFields {}
 }
 
 /// The JSON object, before it is known to be a legal job.
@@ -699,6 +730,9 @@ impl JobCommand {
             Self::Home(_) => "home",
             Self::SetPosition(_) => "set_position",
             Self::Barrier(_) => "barrier",
+            Self::MoveC(_) => "movc",
+            Self::MoveD(_) => "movd",
+            Self::StatusCd(_) => "statcd",
         }
     }
 
@@ -746,6 +780,13 @@ impl JobCommand {
             0 => Err(self.error(field, "0 is out of range; it must be at least 1")),
             _ => Ok(()),
         };
+        let speed = |speed_hz: u32| match speed_hz {
+            1..=SPEED_HZ_MAX => Ok(()),
+            _ => {
+                let message = format!("{speed_hz} is out of range; 1 to {SPEED_HZ_MAX}");
+                Err(self.error("speed_hz", message))
+            }
+        };
         let shape = |jerk: Option<u32>, linear_steps: u16, jump_steps: u16| match jerk {
             Some(0) => Err(self.error("jerk", "0 is out of range; leave it out for no limit")),
             Some(_) if linear_steps != 0 || jump_steps != 0 => {
@@ -770,12 +811,12 @@ impl JobCommand {
             }
             Self::Ramp(fields) => {
                 steps("steps", fields.steps)?;
-                positive("speed_hz", fields.speed_hz)?;
+                speed(fields.speed_hz)?;
                 positive("accel", fields.accel)?;
                 shape(fields.jerk, fields.linear_steps, fields.jump_steps)
             }
             Self::RampTo(fields) => {
-                positive("speed_hz", fields.speed_hz)?;
+                speed(fields.speed_hz)?;
                 positive("accel", fields.accel)?;
                 shape(fields.jerk, fields.linear_steps, fields.jump_steps)
             }
@@ -791,7 +832,7 @@ impl JobCommand {
                 if fields.steps.iter().all(|count| *count == 0) {
                     return Err(self.error("steps", "all 0: nothing would move"));
                 }
-                positive("speed_hz", fields.speed_hz)?;
+                speed(fields.speed_hz)?;
                 positive("accel", fields.accel)?;
                 shape(fields.jerk, 0, 0)
             }
@@ -811,12 +852,19 @@ impl JobCommand {
             {
                 Err(self.error("name", format!("must have 1 to {BARRIER_BYTES_MAX} bytes")))
             }
+            Self::MoveC(fields) if !(0..=i64::from(POSITION_C_MAX)).contains(&fields.position) => {
+                let message = format!("Invalid C position (0-{POSITION_C_MAX})");
+                Err(self.error("position", message))
+            }
             Self::Pause(_)
             | Self::Laser(_)
             | Self::LidarRead(_)
             | Self::Home(_)
             | Self::SetPosition(_)
-            | Self::Barrier(_) => Ok(()),
+            | Self::Barrier(_)
+            | Self::MoveC(_)
+            | Self::MoveD(_)
+            | Self::StatusCd(_) => Ok(()),
         }
     }
 
@@ -884,6 +932,12 @@ impl JobCommand {
             Self::Barrier(f) => Command::Barrier {
                 barrier: barrier_from_name(&f.name),
             },
+            Self::MoveC(f) => Command::MoveC {
+                // One that was not checked stays wrong.
+                index: u8::try_from(f.position).unwrap_or(u8::MAX),
+            },
+            Self::MoveD(f) => Command::MoveD { on: f.on },
+            Self::StatusCd(_) => Command::StatusCd,
         }
     }
 }

@@ -71,6 +71,8 @@ impl FaultCode {
     pub const REFILL_LATE: Self = Self(201);
     /// The queue ran dry although the job has more.
     pub const UNDERRUN: Self = Self(202);
+    /// The planner came too late: the axes stood still in the middle of a ramp or a path.
+    pub const PLAN_LATE: Self = Self(204);
     /// Ledger and pulse counter disagree.
     pub const COUNT_MISMATCH: Self = Self(203);
     /// The program panicked; outputs were switched off.
@@ -82,6 +84,7 @@ impl FaultCode {
             Self::LINK_LOST => "link lost while moving",
             Self::REFILL_LATE => "pulse refill too late",
             Self::UNDERRUN => "queue ran dry in the middle of a job",
+            Self::PLAN_LATE => "planner too late in the middle of a path",
             Self::COUNT_MISMATCH => "position and pulse counter disagree",
             Self::PANIC => "firmware panic",
             _ => "unknown fault",

@@ -456,3 +456,30 @@ fn the_longest_messages_fit_the_stated_bounds() {
         assert_eq!(count, writer.command_count());
     }
 }
+
+#[test]
+fn commands_of_c_and_d_have_their_bytes_and_survive_their_words() {
+    let cases = [
+        (Command::MoveC { index: 0 }, "01 0b 00"),
+        (Command::MoveC { index: 4 }, "01 0b 04"),
+        (Command::MoveD { on: false }, "01 0c 00"),
+        (Command::MoveD { on: true }, "01 0c 01"),
+        (Command::StatusCd, "01 0d"),
+    ];
+    for (command, expected) in cases {
+        check(command, expected);
+        assert_eq!(Command::from_words(&command.to_words()), Ok(command));
+        assert_eq!(command.feature(), Features::CD);
+        assert_eq!(command.axis_max(), None);
+    }
+    check(Features::CD, "01 20");
+    assert!(
+        Command::from_words(&[11, 256, 0, 0, 0, 0, 0, 0]).is_err(),
+        "no such index"
+    );
+    assert!(
+        Command::from_words(&[12, 2, 0, 0, 0, 0, 0, 0]).is_err(),
+        "neither on nor off"
+    );
+    assert!(Command::from_words(&[14, 0, 0, 0, 0, 0, 0, 0]).is_err());
+}

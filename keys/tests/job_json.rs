@@ -195,6 +195,11 @@ fn everything_wrong_is_named_with_its_place() {
             "commands[1].ramp.speed_hz: 0 is out of range",
         ),
         (
+            command(r#"{"ramp":{"axis":0,"steps":1,"speed_hz":1000001,"accel":1}}"#),
+            BadCommand,
+            "commands[1].ramp.speed_hz: 1000001 is out of range; 1 to 1000000",
+        ),
+        (
             command(r#"{"line":{"steps":[],"speed_hz":1,"accel":1}}"#),
             BadCommand,
             "commands[1].line.steps: 0 axes",
@@ -428,4 +433,79 @@ fn a_record_reads_as_the_contract_writes_it() {
     let text = r#"{"job":"cut-7","node":"left","group":null,"state":"running","version":3,"created":"2026-11-21T03:00:00.123000Z","updated":"2026-11-21T03:00:01.000000Z","progress":{"done":1200,"total":4000},"error":null,"result":null,"parts":null}"#;
     let record: JobRecord = serde_json::from_str(text).expect("legal");
     assert_eq!(serde_json::to_string(&record).expect("JSON"), text);
+}
+
+#[test]
+fn commands_of_c_and_d_are_read_and_their_errors_have_their_places() {
+    let text = br#"{"commands":[{"movd":{"on":false}},{"movc":{"position":2}},{"movd":{"on":true}},{"statcd":{}}]}"#;
+    let job = JobRequest::from_json(text).expect("legal");
+    let Work::Commands(list) = &job.work else {
+        panic!("commands were given")
+    };
+    let commands: Vec<_> = list.iter().map(|one| one.to_command(|_| 0)).collect();
+    assert_eq!(
+        commands,
+        [
+            Command::MoveD { on: false },
+            Command::MoveC { index: 2 },
+            Command::MoveD { on: true },
+            Command::StatusCd,
+        ]
+    );
+    assert_eq!(
+        serde_json::to_string(list).expect("JSON"),
+        r#"[{"movd":{"on":false}},{"movc":{"position":2}},{"movd":{"on":true}},{"statcd":{}}]"#
+    );
+    let mut buffer = [0; 64];
+    let bytes = keys::version::encode(&job, &mut buffer).expect("fits");
+    assert_eq!(JobRequest::from_postcard(bytes), Ok(job.clone()));
+    for position in 0..=4 {
+        let text = format!(r#"{{"commands":[{{"movc":{{"position":{position}}}}}]}}"#);
+        assert!(JobRequest::from_json(text.as_bytes()).is_ok(), "{position}");
+    }
+
+    let cases = [
+        (
+            r#"{"movc":{"position":5}}"#,
+            "commands[1].movc.position: Invalid C position (0-4)",
+        ),
+        (
+            r#"{"movc":{"position":-1}}"#,
+            "commands[1].movc.position: Invalid C position (0-4)",
+        ),
+        (
+            r#"{"movc":{"position":260}}"#,
+            "commands[1].movc.position: Invalid C position (0-4)",
+        ),
+        (
+            r#"{"movc":{"position":2.0}}"#,
+            "commands[1].movc.position: invalid type: floating point",
+        ),
+        (
+            r#"{"movc":{}}"#,
+            "commands[1].movc: missing field `position`",
+        ),
+        (
+            r#"{"movd":{"on":2}}"#,
+            "commands[1].movd.on: invalid type: integer `2`, expected a boolean",
+        ),
+        (
+            r#"{"movd":{"state":1}}"#,
+            "commands[1].movd.state: unknown field `state`",
+        ),
+        (r#"{"statcd":{"x":1}}"#, "commands[1].statcd"),
+        (
+            r#"{"statcd":[]}"#,
+            "commands[1].statcd: invalid type: sequence",
+        ),
+    ];
+    for (command, words) in cases {
+        let text = format!(r#"{{"commands":[{{"lidar_read":{{}}}},{command}]}}"#);
+        let (code, message) = refused(&text);
+        assert_eq!(code, ErrorCode::BadCommand, "{text}: {message}");
+        assert!(
+            message.contains(words),
+            "{text}\n  said    {message}\n  without {words}"
+        );
+    }
 }

@@ -245,6 +245,11 @@ impl EmulatedNode {
         &self.node
     }
 
+    /// Gives the node inside, for what no message asks of it.
+    pub fn node_mut(&mut self) -> &mut InnerNode {
+        &mut self.node
+    }
+
     /// Returns the changes of pins that were recorded since this boot.
     pub fn edges(&self) -> &[crate::pins::PinEvent] {
         &self.edges

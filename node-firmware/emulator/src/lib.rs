@@ -13,6 +13,7 @@
 pub mod clock;
 pub mod config;
 pub mod emulated;
+pub mod kinematics;
 pub mod oracle;
 pub mod pins;
 pub mod pulse;

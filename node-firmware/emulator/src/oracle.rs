@@ -2,25 +2,40 @@
 //! `motion` works.
 //!
 //! It reads only [`Life`]: commands, stop reports, changes of pins. Its knowledge is the meaning of
-//! the commands (a `move` has its edges at 0, d, 2d, …), the driver's timing, and the textbook's
-//! v² = v₀² − 2as. It imports neither `motion` nor `node`.
+//! the commands (a `move` has its edges at 0, d, 2d, …), the driver's timing, and the textbook: of
+//! [`crate::kinematics`] and v² = v₀² − 2as. It imports neither `motion` nor `node`.
 //!
 //! | it demands | how exactly |
 //! |---|---|
 //! | high, low, direction setup and hold times | never less than [`Limits`] |
-//! | number, direction and interval of the steps of every command | to the tick |
+//! | number, direction and interval of the steps of every raw move | to the tick |
+//! | every edge of a ramp and of a line that stands alone | within 1 tick of the ideal |
+//! | lines in a row, which may be joined | limits of speed, acceleration, jerk and corners; all axes at one place; never longer than with a halt at each corner |
 //! | axes that start together | within [`Limits::skew_ticks`] |
 //! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
-//! | nothing after a stop but a deceleration | v² falls by 2a a step |
+//! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | position = counter = counted edges | exactly |
 //!
-//! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there.
+//! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
+//! takes any joining of lines that keeps the limits, the best one or not. Behind a path whose steps
+//! are wrong it judges nothing more but the pins: all that follows would seem wrong.
+//!
+//! | file | owns |
+//! |---|---|
+//! | `pins` | levels and their times |
+//! | `queues` | commands against steps, one after the other |
+//! | `moves` | raw moves |
+//! | `paths` | ramps and lines, edge by edge |
+//! | `track` | joined or stopped paths, by their limits |
 
-use crate::{
-    pins::{Pin, PinEvent},
-    record::{Life, TakenCommand},
-};
-use keys::{Command, QueueId, StopReport};
+mod moves;
+mod paths;
+mod pins;
+mod queues;
+mod track;
+
+use crate::record::Life;
+use keys::Command;
 use std::fmt;
 
 /// Ticks of one second: the unit of [`PinEvent::at_ticks`].
@@ -49,13 +64,19 @@ pub struct Limits {
     pub turn_ticks_max: u64,
     /// A command that was there this long before its turn must follow without a gap, ticks.
     pub ahead_ticks: u64,
-    /// Deceleration of a controlled stop, steps/s².
+    /// Deceleration of a controlled stop of raw moves, steps/s².
     pub stop_accel_hz_per_s: u32,
+    /// Most that the speed of any axis may jump where lines are joined, Hz.
+    pub junction_hz: u32,
+    /// A path decelerates this long after a stop, ticks, …
+    pub stop_begin_ticks: u64,
+    /// … and after what the pulse hardware holds of each axis, steps.
+    pub stop_begin_steps: u64,
 }
 
 impl Default for Limits {
     /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn adds less than
-    /// 100 µs; commands are wanted 25 ms ahead.
+    /// 100 µs; commands are wanted 25 ms ahead; a block of the pulse hardware holds 48 steps.
     fn default() -> Self {
         Self {
             high_ticks_min: 8,
@@ -66,6 +87,9 @@ impl Default for Limits {
             turn_ticks_max: 100 * TICKS_PER_US,
             ahead_ticks: 25_000 * TICKS_PER_US,
             stop_accel_hz_per_s: 100_000,
+            junction_hz: 200,
+            stop_begin_ticks: 2_000 * TICKS_PER_US,
+            stop_begin_steps: 48,
         }
     }
 }
@@ -114,18 +138,35 @@ pub fn positions_after<'c>(
 ) -> Vec<i64> {
     let mut positions = vec![0i64; axis_count];
     for command in commands {
-        if let Command::SetPosition {
-            axis,
-            position_steps,
-        } = *command
-        {
-            positions[axis.index()] = position_steps;
-        }
-        for run in runs(command) {
-            positions[run.axis] += i64::from(run.steps);
-        }
+        go(&mut positions, command);
     }
     positions
+}
+
+/// Adds what a command does to the positions.
+fn go(positions: &mut [i64], command: &Command) {
+    match *command {
+        Command::SetPosition {
+            axis,
+            position_steps,
+        }
+        | Command::RampTo {
+            axis,
+            position_steps,
+            ..
+        } => positions[axis.index()] = position_steps,
+        Command::Ramp { axis, steps, .. } => positions[axis.index()] += i64::from(steps),
+        Command::Line { steps, .. } => {
+            for (position, steps) in positions.iter_mut().zip(steps) {
+                *position += i64::from(steps);
+            }
+        }
+        _ => {
+            for run in moves::runs(command) {
+                positions[run.axis] += i64::from(run.steps);
+            }
+        }
+    }
 }
 
 /// Judges one boot of a node by the default [`Limits`].
@@ -134,6 +175,27 @@ pub fn positions_after<'c>(
 /// Everything that was found wrong, at most [`VIOLATIONS_MAX`] entries and a count of the rest.
 pub fn check_life(life: &Life) -> Result<Summary, Vec<Violation>> {
     check_life_by(life, &Limits::default())
+}
+
+/// Judges the levels of the pins alone, by the default [`Limits`]: high, low, setup and hold times.
+///
+/// # Errors
+/// As [`check_life`].
+pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
+    let mut judge = Judge {
+        limits: &Limits::default(),
+        axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
+        summary: Summary::default(),
+        violations: Vec::new(),
+        more: 0,
+        lost: false,
+    };
+    judge.read_pins(&life.edges);
+    if judge.violations.is_empty() {
+        Ok(())
+    } else {
+        Err(judge.violations)
+    }
 }
 
 /// Judges one boot of a node.
@@ -147,6 +209,7 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
         summary: Summary::default(),
         violations: Vec::new(),
         more: 0,
+        lost: false,
     };
     judge.read_pins(&life.edges);
     judge.read_queues(life);
@@ -167,43 +230,6 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
     Err(judge.violations)
 }
 
-/// Steps of one axis in one command.
-#[derive(Clone, Copy, Debug)]
-struct Run {
-    axis: usize,
-    interval_ticks: u64,
-    steps: i32,
-}
-
-fn runs(command: &Command) -> Vec<Run> {
-    let run = |axis: usize, delay_us: u32, steps: i32| Run {
-        axis,
-        interval_ticks: u64::from(delay_us) * TICKS_PER_US,
-        steps,
-    };
-    let runs = match *command {
-        Command::Move {
-            axis,
-            delay_us,
-            steps,
-        } => vec![run(axis.index(), delay_us, steps)],
-        Command::SyncMove { delay_us, steps } => {
-            vec![run(0, delay_us[0], steps[0]), run(1, delay_us[1], steps[1])]
-        }
-        _ => Vec::new(),
-    };
-    runs.into_iter().filter(|run| run.steps != 0).collect()
-}
-
-/// How long a command lasts.
-fn ticks_of(command: &Command) -> u64 {
-    if let Command::Pause { pause_ms } = *command {
-        return u64::from(pause_ms) * 1_000 * TICKS_PER_US;
-    }
-    let ticks = |run: &Run| u64::from(run.steps.unsigned_abs()) * run.interval_ticks;
-    runs(command).iter().map(ticks).max().unwrap_or(0)
-}
-
 #[derive(Clone, Copy, Debug)]
 struct Step {
     at: u64,
@@ -222,19 +248,27 @@ struct Seen {
     count: i64,
     /// Position = origin + count.
     origin: i64,
+    /// A stop ended its path: more steps of this queue are wrong.
+    rests: bool,
 }
 
-/// Where the timeline of a queue was last seen.
-#[derive(Clone, Copy, Debug)]
-struct Anchor {
-    axis: usize,
-    at: u64,
-    /// Time of the commands since.
-    elapsed: u64,
-    /// Commands without duration since.
-    timeless: u32,
-    /// When the latest of these commands was taken.
-    taken: u64,
+impl Seen {
+    fn position(&self) -> i64 {
+        self.origin + self.count
+    }
+
+    /// The first step that is not explained, if it is before `until`.
+    fn next(&self, until: u64) -> Option<Step> {
+        let step = self.steps.get(self.used).copied();
+        step.filter(|step| step.at < until)
+    }
+
+    /// The next step is explained.
+    fn take(&mut self) {
+        self.sign = self.steps[self.used].sign;
+        self.count += self.sign;
+        self.used += 1;
+    }
 }
 
 struct Judge<'l> {
@@ -243,6 +277,8 @@ struct Judge<'l> {
     summary: Summary,
     violations: Vec<Violation>,
     more: u64,
+    /// A path had a fault: which step belongs to which later command cannot be told.
+    lost: bool,
 }
 
 impl Judge<'_> {
@@ -255,349 +291,5 @@ impl Judge<'_> {
             at_ticks: at_ticks.into(),
             message,
         });
-    }
-
-    /// Levels and their times.
-    fn read_pins(&mut self, edges: &[PinEvent]) {
-        #[derive(Clone, Copy, Default)]
-        struct Line {
-            level: bool,
-            positive: bool,
-            rose_at: Option<u64>,
-            fell_at: Option<u64>,
-            turned_at: Option<u64>,
-        }
-        let mut lines = vec![Line::default(); self.axes.len()];
-        let mut before = 0;
-        for event in edges {
-            let at = event.at_ticks;
-            let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin;
-            if at < before {
-                self.wrong(at, "the record is not in order of time".to_owned());
-            }
-            before = at;
-            let Some(line) = lines.get_mut(axis.index()) else {
-                self.wrong(at, format!("axis {} does not exist", axis.0));
-                continue;
-            };
-            let since = |then: Option<u64>| then.map_or(u64::MAX, |then| at - then);
-            let demand = |what: &str, ticks: u64, least: u64| {
-                let message = || format!("{what} of {ticks} ticks, at least {least} are needed");
-                (ticks < least).then(message)
-            };
-            let mut bad = [None, None];
-            match event.pin {
-                Pin::Step(_) if event.level == line.level => {
-                    bad[0] = Some("the step pin had that level already".to_owned());
-                }
-                Pin::Step(_) if event.level => {
-                    let limits = self.limits;
-                    bad = [
-                        demand("low time", since(line.fell_at), limits.low_ticks_min),
-                        demand(
-                            "direction setup",
-                            since(line.turned_at),
-                            limits.setup_ticks_min,
-                        ),
-                    ];
-                    line.rose_at = Some(at);
-                    let sign = if line.positive { 1 } else { -1 };
-                    self.axes[axis.index()].steps.push(Step { at, sign });
-                }
-                Pin::Step(_) => {
-                    let least = self.limits.high_ticks_min;
-                    bad[0] = demand("high time", since(line.rose_at), least);
-                    line.fell_at = Some(at);
-                }
-                Pin::Direction(_) => {
-                    if line.level {
-                        bad[0] = Some("it turns while a step is high".to_owned());
-                    }
-                    let least = self.limits.hold_ticks_min;
-                    bad[1] = demand("direction hold", since(line.fell_at), least);
-                    line.positive = event.level;
-                    line.turned_at = Some(at);
-                }
-            }
-            if matches!(event.pin, Pin::Step(_)) {
-                line.level = event.level;
-            }
-            for message in bad.into_iter().flatten() {
-                self.wrong(at, format!("axis {}: {message}", axis.0));
-            }
-        }
-    }
-
-    /// Commands against steps, queue by queue.
-    fn read_queues(&mut self, life: &Life) {
-        let mut rest = life.commands.as_slice();
-        while let Some(first) = rest.first() {
-            let queue = first.queue;
-            let end = rest
-                .iter()
-                .position(|taken| taken.queue != queue)
-                .unwrap_or(rest.len());
-            let (commands, later) = rest.split_at(end);
-            // Nothing of a later queue can leave before its first command was taken.
-            let until = later
-                .first()
-                .map_or(u64::MAX, |taken| taken.at.0 * TICKS_PER_US);
-            self.read_queue(life, queue, commands, until);
-            rest = later;
-        }
-        if life.cut {
-            return;
-        }
-        for axis in 0..self.axes.len() {
-            let seen = &self.axes[axis];
-            if let Some(step) = seen.steps.get(seen.used) {
-                let (at, count) = (step.at, seen.steps.len() - seen.used);
-                self.wrong(
-                    at,
-                    format!("axis {axis}: {count} steps that nobody ordered"),
-                );
-            }
-            let seen = &self.axes[axis];
-            let count: i64 = seen.steps.iter().map(|step| step.sign).sum();
-            let (counted, position) = (
-                life.counted_steps.get(axis).copied(),
-                life.status.axes.get(axis).map(|axis| axis.position_steps),
-            );
-            let expected = seen.origin + count;
-            if counted != Some(count) {
-                self.wrong(
-                    None,
-                    format!("axis {axis}: {count} edges, the pulse counter says {counted:?}"),
-                );
-            }
-            if position != Some(expected) {
-                self.wrong(
-                    None,
-                    format!("axis {axis}: it is at {expected}, the status says {position:?}"),
-                );
-            }
-        }
-    }
-
-    fn read_queue(&mut self, life: &Life, queue: QueueId, commands: &[TakenCommand], until: u64) {
-        let stop = life.stops.iter().find(|stop| stop.queue == queue);
-        let executed = match stop {
-            Some(stop) => stop.executed_commands,
-            None if life.status.queue == queue => life.status.executed_commands,
-            None => {
-                self.wrong(None, format!("{queue:?} ended without a report"));
-                0
-            }
-        };
-        let executed = if life.cut { 0 } else { executed };
-        if let Some(stop) = stop
-            && !life.cut
-            && stop.accepted_commands != commands.len() as u64
-        {
-            self.wrong(
-                None,
-                format!(
-                    "{queue:?}: {} commands were taken, the report says {}",
-                    commands.len(),
-                    stop.accepted_commands
-                ),
-            );
-        }
-        let mut anchor: Option<Anchor> = None;
-        let mut broken = vec![false; self.axes.len()];
-        for (index, taken) in commands.iter().enumerate() {
-            let number = index as u64;
-            if taken.number != number {
-                self.wrong(
-                    None,
-                    format!("command {number} has number {}", taken.number),
-                );
-            }
-            let must_be_whole = number < executed;
-            if must_be_whole {
-                self.summary.commands += 1;
-            }
-            if let Command::SetPosition {
-                axis,
-                position_steps,
-            } = taken.command
-                && must_be_whole
-            {
-                let seen = &mut self.axes[axis.index()];
-                seen.origin = position_steps - seen.count;
-            }
-            if matches!(taken.command, Command::Barrier { .. }) {
-                // The queue rests there for as long as others need.
-                anchor = None;
-            }
-            let runs = runs(&taken.command);
-            let firsts: Vec<_> = runs
-                .iter()
-                .filter(|run| !broken[run.axis])
-                .filter_map(|run| {
-                    let seen = &self.axes[run.axis];
-                    let step = seen.steps.get(seen.used)?;
-                    (step.at < until).then_some((step.at, run.axis))
-                })
-                .collect();
-            // Behind a stop, a step may belong to a deceleration instead.
-            let stop_at = stop.map_or(u64::MAX, |stop| stop.at.0 * TICKS_PER_US);
-            let planned = firsts.len() == runs.len() && firsts.iter().all(|(at, _)| *at <= stop_at);
-            if !broken.contains(&true) && (must_be_whole || planned) {
-                self.check_begin(&mut anchor, taken, &runs, &firsts);
-            }
-            if let Some(anchor) = anchor.as_mut() {
-                let ticks = ticks_of(&taken.command);
-                anchor.elapsed += ticks;
-                anchor.timeless += u32::from(ticks == 0);
-            }
-            for run in runs {
-                if broken[run.axis] {
-                    continue;
-                }
-                let found = self.take_steps(&run, until);
-                if found < run.steps.unsigned_abs() {
-                    broken[run.axis] = true;
-                    if must_be_whole {
-                        self.wrong(
-                            None,
-                            format!(
-                                "axis {}: command {number} counts as executed, {found} of its {} \
-                                 steps were found",
-                                run.axis,
-                                run.steps.unsigned_abs()
-                            ),
-                        );
-                    }
-                }
-            }
-        }
-        if let Some(stop) = stop.filter(|_| !life.cut) {
-            self.check_stop(stop, until);
-        }
-    }
-
-    /// The first edge of a command against the commands before it.
-    fn check_begin(
-        &mut self,
-        anchor: &mut Option<Anchor>,
-        taken: &TakenCommand,
-        runs: &[Run],
-        firsts: &[(u64, usize)],
-    ) {
-        let taken_at = taken.at.0 * TICKS_PER_US;
-        if let Some(anchor) = anchor.as_mut() {
-            anchor.taken = anchor.taken.max(taken_at);
-        }
-        let (Some((at, axis)), Some((last, _))) = (firsts.iter().min(), firsts.iter().max()) else {
-            return;
-        };
-        let (at, axis) = (*at, *axis);
-        let skew = last - at;
-        self.summary.skew_ticks_max = self.summary.skew_ticks_max.max(skew);
-        if skew > self.limits.skew_ticks {
-            self.wrong(
-                at,
-                format!("axes that start together differ by {skew} ticks"),
-            );
-        }
-        if at < taken_at {
-            self.wrong(at, "a step before its command was taken".to_owned());
-        }
-        if let Some(anchor) = *anchor {
-            let due = anchor.at + anchor.elapsed;
-            let skew = if anchor.axis == axis {
-                0
-            } else {
-                self.limits.skew_ticks
-            };
-            let turns = runs
-                .iter()
-                .any(|run| i64::from(run.steps.signum()) != self.axes[run.axis].sign);
-            let added = if turns { self.limits.turn_ticks_max } else { 0 };
-            let in_time = anchor.taken + self.limits.ahead_ticks <= due && anchor.timeless < 200;
-            if at + skew < due {
-                self.wrong(at, format!("a command begins {} ticks early", due - at));
-            } else if in_time && at > due + skew + added {
-                self.wrong(at, format!("a gap of {} ticks before a command", at - due));
-            }
-        }
-        *anchor = Some(Anchor {
-            axis,
-            at,
-            elapsed: 0,
-            timeless: 0,
-            taken: taken_at,
-        });
-    }
-
-    /// Explains as many steps as belong to this run and returns how many.
-    fn take_steps(&mut self, run: &Run, until: u64) -> u32 {
-        let seen = &mut self.axes[run.axis];
-        let sign = i64::from(run.steps.signum());
-        let mut found = 0;
-        let mut before: Option<u64> = None;
-        while found < run.steps.unsigned_abs() {
-            let Some(step) = seen.steps.get(seen.used) else {
-                break;
-            };
-            let fits = before.is_none_or(|before| step.at - before == run.interval_ticks);
-            if step.at >= until || step.sign != sign || !fits {
-                break;
-            }
-            before = Some(step.at);
-            seen.used += 1;
-            seen.count += sign;
-            seen.sign = sign;
-            found += 1;
-        }
-        found
-    }
-
-    /// Steps after the plan was left must slow down; then the report must be right.
-    fn check_stop(&mut self, stop: &StopReport, until: u64) {
-        let stop_at = stop.at.0 * TICKS_PER_US;
-        let lost_hz2 = 2.0 * f64::from(self.limits.stop_accel_hz_per_s);
-        for axis in 0..self.axes.len() {
-            let mut wrong = None;
-            // The first interval that slows down holds half of the first step's loss.
-            let mut share = 0.5;
-            let seen = &mut self.axes[axis];
-            while let Some(step) = seen.steps.get(seen.used).copied()
-                && step.at < until
-            {
-                // A step that deviates from the plan begins or continues a deceleration.
-                let (before, first) = match seen.used.checked_sub(2) {
-                    Some(index) => (seen.steps[index + 1].at, seen.steps[index].at),
-                    None => break,
-                };
-                let interval = step.at - before;
-                let interval_before = before - first;
-                let speed = |ticks: u64| TICK_HZ as f64 / ticks as f64;
-                // The mean speeds of two steps: their squares differ by 2a, to rounding.
-                let (v0, v1) = (speed(interval_before), speed(interval));
-                let slack_hz2 = 2.0 * v0 * (v0 / interval_before as f64 + v1 / interval as f64);
-                let slows = v1 * v1 <= v0 * v0 - share * lost_hz2 * 0.99 + slack_hz2;
-                share = 1.0;
-                if step.at <= stop_at || step.sign != seen.sign || !slows {
-                    wrong = Some((step.at, "a step that is neither plan nor deceleration"));
-                    break;
-                }
-                seen.used += 1;
-                seen.count += step.sign;
-            }
-            if let Some((at, message)) = wrong {
-                self.wrong(at, format!("axis {axis}: {message}"));
-            }
-            let seen = &self.axes[axis];
-            let expected = seen.origin + seen.count;
-            let reported = stop.positions_steps.get(axis).copied();
-            if reported != Some(expected) {
-                self.wrong(
-                    stop_at,
-                    format!("axis {axis}: stopped at {expected}, the report says {reported:?}"),
-                );
-            }
-        }
     }
 }

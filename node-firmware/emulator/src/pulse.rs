@@ -41,6 +41,8 @@ pub struct RmtConfig {
     pub refill_ticks_max: u64,
     /// Most that channels of one start differ, ticks; 3 by default.
     pub start_skew_ticks_max: u64,
+    /// Longest time from when an axis wants planning until the planner runs, ticks; 0 by default.
+    pub plan_ticks_max: u64,
 }
 
 impl Default for RmtConfig {
@@ -49,6 +51,7 @@ impl Default for RmtConfig {
             refill_ticks_min: TICKS_PER_US,
             refill_ticks_max: 5 * TICKS_PER_US,
             start_skew_ticks_max: 3,
+            plan_ticks_max: 0,
         }
     }
 }
@@ -87,6 +90,8 @@ pub struct VirtualRmt {
     channels: [Channel; CHANNELS],
     now: u64,
     fault: Option<FaultCode>,
+    /// When the planner runs that an axis waits for.
+    plan_at: Option<u64>,
     /// Words were played twice: until the next halt only the counter knows the count.
     lapped: bool,
     record: bool,
@@ -237,6 +242,7 @@ impl VirtualRmt {
             channels: std::array::from_fn(|_| Channel::new()),
             now: 0,
             fault: None,
+            plan_at: None,
             lapped: false,
             record: false,
             edges: Vec::new(),
@@ -258,6 +264,13 @@ impl VirtualRmt {
         self.channels
             .get(usize::from(axis.0))
             .map_or(0, |channel| channel.counted_steps)
+    }
+
+    /// Lets the pulse counter of an axis lose or find steps, as noise on its wire would.
+    pub fn disturb_counter(&mut self, axis: AxisId, steps: i64) {
+        if let Some(channel) = self.channels.get_mut(usize::from(axis.0)) {
+            channel.counted_steps += steps;
+        }
     }
 
     fn random_up_to(&mut self, most: u64) -> u64 {
@@ -369,8 +382,15 @@ impl StepBackend for VirtualRmt {
             }
             // At `until` itself the caller plans anyway, once all channels have come so far.
             if refilled_at < until && self.axes[index].wants_planning() {
-                self.now = self.now.max(refilled_at);
-                return Ticks(self.now);
+                let late_ticks = self.config.plan_ticks_max;
+                let due = *self.plan_at.get_or_insert_with(|| {
+                    refilled_at + splitmix(self.random ^ refilled_at) % (late_ticks + 1)
+                });
+                if refilled_at >= due {
+                    self.plan_at = None;
+                    self.now = self.now.max(refilled_at);
+                    return Ticks(self.now);
+                }
             }
         }
         for index in 0..CHANNELS {
@@ -404,6 +424,10 @@ impl StepBackend for VirtualRmt {
         } else {
             ledger.booked_steps()
         }
+    }
+
+    fn counted_steps(&self, axis: AxisId) -> Option<i64> {
+        Some(self.step_count(axis))
     }
 
     fn take_fault(&mut self) -> Option<FaultCode> {

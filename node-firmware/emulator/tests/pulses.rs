@@ -1,128 +1,21 @@
 //! Commands to pins on the virtual RMT, judged by the oracle: every promise of the motion core that
 //! can be seen at a pin.
 
+mod bench;
+
+use bench::{Bench, config};
 use emulator::{
-    EmulatedNode, EmulatorConfig, Recording, oracle,
     pins::{Pin, PinEvent},
     record::Life,
 };
 use keys::{
-    AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, QueueId, StopMode,
+    AxisId, BatchHeader, Command, JobId, NodeTopic, QueueId, StopMode,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     status::FaultCode,
 };
 
 const X: AxisId = AxisId(0);
 const Y: AxisId = AxisId(1);
-
-/// A node in virtual time that is fed from a list as the gateway would: whenever there is room.
-struct Bench {
-    node: EmulatedNode,
-    now: LocalMicros,
-    waiting: std::collections::VecDeque<Command>,
-    job_end: u64,
-}
-
-fn config() -> EmulatorConfig {
-    let mut config = EmulatorConfig::new(NodeId::new("bench").expect("legal"));
-    config.record = Recording::Edges { max: 10_000_000 };
-    config
-}
-
-impl Bench {
-    fn new(config: EmulatorConfig) -> Self {
-        let mut node = EmulatedNode::new(config, 7);
-        node.link(true, LocalMicros(0));
-        Self {
-            node,
-            now: LocalMicros(0),
-            waiting: std::collections::VecDeque::new(),
-            job_end: 0,
-        }
-    }
-
-    fn order(&mut self, commands: impl IntoIterator<Item = Command>) {
-        self.waiting.extend(commands);
-        self.job_end = self.node.status().accepted_commands + self.waiting.len() as u64;
-        self.feed();
-    }
-
-    fn feed(&mut self) {
-        loop {
-            let status = self.node.status();
-            let mut writer = BatchWriter::new();
-            while (u32::from(writer.command_count())) < status.credit_commands
-                && let Some(command) = self.waiting.front()
-                && writer.push(command)
-            {
-                self.waiting.pop_front();
-            }
-            if writer.command_count() == 0 {
-                return;
-            }
-            let header = BatchHeader {
-                queue: status.queue,
-                first_command: status.accepted_commands,
-                command_count: 0,
-                job: JobId::new("j").expect("legal"),
-                job_end: self.job_end,
-            };
-            let mut buffer = [0; ORDER_BYTES_MAX];
-            let bytes = writer.finish(header, &mut buffer).expect("room").to_vec();
-            self.node.handle(NodeTopic::Batch, &bytes, self.now);
-            let taken = self.node.status().accepted_commands - status.accepted_commands;
-            assert_eq!(taken, u64::from(writer.command_count()));
-        }
-    }
-
-    fn run_until(&mut self, at_us: u64) {
-        while let Some(due) = self.node.poll_timeout().filter(|due| due.0 <= at_us) {
-            self.now = self.now.max(due);
-            self.node.poll(self.now);
-            let _ = self.node.outbox(self.now);
-            self.feed();
-        }
-        self.now = LocalMicros(at_us);
-        self.node.poll(self.now);
-        let _ = self.node.outbox(self.now);
-    }
-
-    fn run_to_rest(&mut self) {
-        let mut wakes = 0u32;
-        while self.node.status().executed_commands < self.job_end {
-            let due = self.node.poll_timeout().expect("something is due");
-            self.run_until(due.0.max(self.now.0));
-            wakes += 1;
-            assert!(wakes < 10_000_000);
-        }
-        let at = self.now.0 + 1_000;
-        self.run_until(at);
-    }
-
-    fn stop(&mut self, mode: StopMode) {
-        let payload = keys::Stop { mode }.to_payload();
-        self.node.handle(NodeTopic::Stop, payload, self.now);
-    }
-
-    fn release(&mut self) {
-        let queue = self.node.status().queue;
-        let mut buffer = [0; 64];
-        let order = keys::Order::Release { queue };
-        let bytes = keys::version::encode(&order, &mut buffer)
-            .expect("room")
-            .to_vec();
-        self.node.handle(NodeTopic::Batch, &bytes, self.now);
-    }
-
-    fn judged(&self) -> Life {
-        let life = self.node.life();
-        if let Err(violations) = oracle::check_life(&life) {
-            let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
-            panic!("{}", lines.join("\n"));
-        }
-        life
-    }
-}
 
 fn steps(axis: AxisId, delay_us: u32, steps: i32) -> Command {
     Command::Move {

@@ -3,7 +3,7 @@
 //! exclusive access.
 
 use crate::{
-    encoder::{Encoder, Fill},
+    encoder::{Encoder, Fill, Rewound},
     ledger::Ledger,
     limits::{LOW_WATER_TICKS, SEGMENTS_PER_COMMAND},
     profile::{AxisProfile, Timing},
@@ -88,15 +88,12 @@ impl Axis {
         self.segments.room() >= SEGMENTS_PER_COMMAND
     }
 
+    pub(crate) fn room(&self) -> usize {
+        self.segments.room()
+    }
+
     pub(crate) fn push(&mut self, segment: Segment) {
-        self.planned_ticks += match segment {
-            Segment::Steps {
-                step_count,
-                interval_ticks,
-            } => u64::from(step_count) * interval_ticks,
-            Segment::Low { ticks } => ticks,
-            Segment::Turn { .. } => 0,
-        };
+        self.planned_ticks += segment.ticks();
         self.segments.push(segment);
     }
 
@@ -104,14 +101,30 @@ impl Axis {
         self.encoder.encoded_ticks()
     }
 
+    /// Returns the time since the start behind which the plan can be changed, ticks.
+    pub(crate) fn committed_ticks(&self) -> u64 {
+        self.encoder.committed_ticks()
+    }
+
+    /// Leaves the plan; another one follows.
+    pub(crate) fn rewind(&mut self) -> Rewound {
+        let rewound = self.encoder.rewind(&mut self.segments);
+        self.planned_ticks = rewound.encoded_ticks.saturating_sub(self.lead_ticks);
+        rewound
+    }
+
     /// Leaves the plan and slows down.
     pub(crate) fn decelerate(&mut self) {
         let goes_on = matches!(self.segments.peek(), Some(Segment::Steps { .. }));
+        let steps_ahead = self.segments.steps_ahead();
         self.segments.clear();
-        self.encoder.decelerate(goes_on);
+        self.encoder.decelerate(goes_on, steps_ahead);
     }
 
-    pub(crate) fn stopping_mhz(&self) -> Option<i64> {
-        self.encoder.stopping_mhz()
+    /// Returns the speed of what was encoded last with sign, mHz.
+    pub(crate) fn speed_mhz(&self) -> i64 {
+        self.encoder
+            .stopping_mhz()
+            .unwrap_or_else(|| self.encoder.speed_mhz())
     }
 }

@@ -14,6 +14,7 @@ use keys::{AxisId, status::FaultCode};
 /// | `service` | plays in order and only once, never stretches | planner |
 /// | `halt` | returns when the pins are quiet; a step that had begun is whole | stop path |
 /// | `played_steps` | counts active edges that have left, with sign, since boot | anyone |
+/// | `counted_steps` | the same, counted at the pin by something else | planner, at rest |
 ///
 /// A refill calls [`Axis::fill`], sets the direction pin that [`Fill::turn`](crate::Fill::turn)
 /// names, and writes the words. How the back end knows what was played is its secret: on the board
@@ -39,6 +40,13 @@ pub trait StepBackend {
 
     /// Returns the active edges that have left, with sign, since boot.
     fn played_steps(&self, axis: AxisId) -> i64;
+
+    /// Returns what a counter at the pin has counted since boot, with sign; `None` without one.
+    /// While a channel plays it may run ahead of [`StepBackend::played_steps`] by what happens
+    /// between the two calls.
+    fn counted_steps(&self, _axis: AxisId) -> Option<i64> {
+        None
+    }
 
     /// Returns what went wrong since the last call.
     fn take_fault(&mut self) -> Option<FaultCode>;

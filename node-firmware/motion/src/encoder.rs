@@ -23,12 +23,13 @@
 //! what is planned. Ahead stays a third of it, whatever the others do.
 //!
 //! **Controlled stop.** v² falls by 2a with each step (constant deceleration), the interval between
-//! two steps is 2 / (v₀ + v₁): exact for constant deceleration, and one integer root a step.
+//! two steps is 2 / (v₀ + v₁): exact for constant deceleration, and one integer root a step. It goes
+//! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
 
 use crate::{
     limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
     profile::Timing,
-    segment::{Direction, Segment, SegmentRing},
+    segment::{Direction, FRACTION_BITS, Segment, SegmentRing},
     symbol::Symbol,
 };
 
@@ -52,6 +53,17 @@ enum Turn {
     Due,
 }
 
+/// Where another plan goes on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rewound {
+    /// Time since the start, ticks.
+    pub(crate) encoded_ticks: u64,
+    /// Rest since the last step's high time, saturating.
+    pub(crate) low_ticks: u64,
+    /// Direction of what comes next.
+    pub(crate) direction: Option<Direction>,
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 struct HalfFacts {
     has_steps: bool,
@@ -64,6 +76,14 @@ pub(crate) struct Encoder {
     direction: Option<Direction>,
     /// Steps of the present segment that are still to come.
     steps_left: u32,
+    /// Time from the next edge to the end of the present segment.
+    left_ticks: u64,
+    /// Present interval and its change, in fractions of a tick.
+    interval: i64,
+    change: i64,
+    /// What the last edge lies behind its due time, in fractions of a tick.
+    offset: i64,
+    /// Time from the last edge to the next.
     interval_ticks: u64,
     /// Rest that is owed before anything else.
     low_ticks: u64,
@@ -74,6 +94,8 @@ pub(crate) struct Encoder {
     turn: Turn,
     /// Speed of a controlled stop, mHz.
     stopping_mhz: Option<u64>,
+    /// Steps that it may still make.
+    stopping_steps_max: u64,
     ended: bool,
     half_before: HalfFacts,
     encoded_ticks: u64,
@@ -108,12 +130,17 @@ impl Encoder {
             timing,
             direction: None,
             steps_left: 0,
+            left_ticks: 0,
+            interval: 0,
+            change: 0,
+            offset: 0,
             interval_ticks: 0,
             low_ticks: 0,
             resting: true,
             low_ticks_since_step: u64::MAX,
             turn: Turn::None,
             stopping_mhz: None,
+            stopping_steps_max: 0,
             ended: true,
             half_before: HalfFacts::default(),
             encoded_ticks: 0,
@@ -144,12 +171,58 @@ impl Encoder {
         })
     }
 
+    /// Returns the speed of the step that was encoded last with sign, mHz; 0 at rest.
+    pub(crate) fn speed_mhz(&self) -> i64 {
+        if self.resting || self.ended || self.interval_ticks == 0 {
+            return 0;
+        }
+        let speed_mhz = (1_000 * TICK_HZ / self.interval_ticks) as i64;
+        match self.direction {
+            Some(Direction::Negative) => -speed_mhz,
+            _ => speed_mhz,
+        }
+    }
+
     /// Forgets everything but the direction pin: the channel was halted or has ended.
     pub(crate) fn reset(&mut self) {
         *self = Self {
             direction: self.direction,
             ..Self::new(self.timing)
         };
+    }
+
+    /// Returns the time behind which [`Encoder::rewind`] leaves the plan, ticks.
+    pub(crate) fn committed_ticks(&self) -> u64 {
+        self.encoded_ticks + self.kept_ticks()
+    }
+
+    /// Returns the rest that a turn which has begun still needs, ticks.
+    fn kept_ticks(&self) -> u64 {
+        match self.turn {
+            Turn::Filling => self.low_ticks.min(self.timing.turn_ticks()),
+            Turn::None | Turn::Due => 0,
+        }
+    }
+
+    /// Leaves the plan; another one follows. A turn that has begun is kept, with the rest that it
+    /// needs.
+    pub(crate) fn rewind(&mut self, segments: &mut SegmentRing) -> Rewound {
+        let turn = match segments.peek() {
+            Some(Segment::Turn { direction }) if self.turn != Turn::None => Some(direction),
+            _ => None,
+        };
+        segments.clear();
+        self.steps_left = 0;
+        self.low_ticks = self.kept_ticks();
+        match turn {
+            Some(direction) => segments.push(Segment::Turn { direction }),
+            None => self.turn = Turn::None,
+        }
+        Rewound {
+            encoded_ticks: self.encoded_ticks + self.low_ticks,
+            low_ticks: self.low_ticks_since_step.saturating_add(self.low_ticks),
+            direction: turn.or(self.direction),
+        }
     }
 
     /// Begins: the first half block is a rest of `lead_ticks`, so that all axes start on one tick.
@@ -162,8 +235,9 @@ impl Encoder {
         self.finish(out)
     }
 
-    /// Leaves the plan and slows down; the ring must be cleared by the caller.
-    pub(crate) fn decelerate(&mut self, goes_on: bool) {
+    /// Leaves the plan and slows down, no farther than the plan would have gone: `steps_ahead` is
+    /// what it had behind the present segment. The ring must be cleared by the caller.
+    pub(crate) fn decelerate(&mut self, goes_on: bool, steps_ahead: u64) {
         if self.stopping_mhz.is_some() {
             return;
         }
@@ -177,6 +251,7 @@ impl Encoder {
             // No step follows, so nobody need wait for its time: that may be an hour.
             self.low_ticks = 0;
         }
+        self.stopping_steps_max = u64::from(self.steps_left) + steps_ahead;
         self.steps_left = 0;
         self.turn = Turn::None;
         self.stopping_mhz = Some(speed_mhz);
@@ -227,11 +302,17 @@ impl Encoder {
         match segments.peek() {
             Some(Segment::Steps {
                 step_count,
-                interval_ticks,
+                offset,
+                interval,
+                change,
+                total_ticks,
             }) => {
                 segments.pop();
                 self.steps_left = step_count;
-                self.interval_ticks = interval_ticks;
+                self.left_ticks = total_ticks;
+                self.interval = interval as i64;
+                self.change = change;
+                self.offset = i64::from(offset);
             }
             Some(Segment::Low { ticks }) => {
                 segments.pop();
@@ -246,6 +327,7 @@ impl Encoder {
     /// Writes a step of the present segment.
     fn step(&mut self, segments: &mut SegmentRing, out: &mut Out) {
         self.steps_left -= 1;
+        self.next_interval();
         let high_ticks = self.timing.high_of(self.interval_ticks);
         let low_ticks = self.interval_ticks - high_ticks;
         let goes_on = self.steps_left > 0 || matches!(segments.peek(), Some(Segment::Steps { .. }));
@@ -265,6 +347,23 @@ impl Encoder {
             self.write_step(high_ticks, low_ticks, wanted, out);
             self.resting = matches!(rest, Some(Segment::Low { .. } | Segment::Turn { .. }));
         }
+    }
+
+    /// Takes the time from this edge to the next one of the segment, or to its end.
+    fn next_interval(&mut self) {
+        if self.steps_left == 0 {
+            self.interval_ticks = self.left_ticks;
+            return;
+        }
+        // Rounded to the nearest tick; what is over is kept for the next one.
+        self.offset += self.interval;
+        self.interval += self.change;
+        let ticks = (self.offset + (1 << (FRACTION_BITS - 1))) >> FRACTION_BITS;
+        // At the driver's limit two edges may round to one tick less; the second one waits.
+        let ticks = ticks.max(self.timing.interval_ticks_min() as i64);
+        self.offset -= ticks << FRACTION_BITS;
+        self.interval_ticks = ticks as u64;
+        self.left_ticks = self.left_ticks.saturating_sub(self.interval_ticks);
     }
 
     /// Writes the word of a step with up to `word_low_ticks` of its low time, and owes the rest.
@@ -391,11 +490,15 @@ impl Encoder {
 
     /// Writes a step of a controlled stop, or the end.
     fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
-        let Some(slower_mhz) = self.slower_mhz(speed_mhz) else {
-            self.stopping_mhz = Some(0);
-            self.end(out);
-            return;
+        let slower_mhz = match self.slower_mhz(speed_mhz) {
+            Some(slower_mhz) if self.stopping_steps_max > 0 => slower_mhz,
+            _ => {
+                self.stopping_mhz = Some(0);
+                self.end(out);
+                return;
+            }
         };
+        self.stopping_steps_max -= 1;
         let interval_ticks = 2_000 * TICK_HZ / (speed_mhz + slower_mhz);
         let high_ticks = self.timing.high_of(interval_ticks);
         self.stopping_mhz = Some(slower_mhz);

@@ -5,44 +5,70 @@
 //!  ring.rs    caller's        planner.rs  ring of     encoder.rs  RMT word   the board's RMT or
 //!             memory          one timeline each axis  in the      symbol.rs  the emulator's model
 //!                             for all axes            refill          │
-//!                                  │                                  ▼
-//!             Marks: what ends when└──▶ executed, laser, lidar     Ledger: booked − unplayed
+//!                              │       │                              ▼
+//!              Law, Path, Steps┘       └▶ Marks: executed,    Ledger: booked − unplayed
+//!              ramps and lines             laser, lidar
 //! ```
 //!
 //! Start with [`Motion`], the whole of it for one node; then `planner.rs`, `encoder.rs`,
-//! [`backend`]. No clock, no hardware, no allocation, no floating point: time comes in as [`Ticks`]
-//! and everything is decided by it.
+//! [`backend`]. How a ramp comes about is read in this order:
+//!
+//! | file | from → to |
+//! |---|---|
+//! | [`law`] | how speed is gained: constant, linear, jerk-limited |
+//! | [`path`] | the fastest motion within a law's limits: place and time, without steps |
+//! | [`lookahead`] | how fast a line may be left, given the lines behind it |
+//! | `steps.rs` | a path to the edges of all axes, put together to segments |
+//! | `motion/change.rs`, `motion/drive.rs` | hold, resume, speed, target: changed in flight |
+//! | [`real`] | the numbers of all this: 62 bits and an exponent, in integers |
+//!
+//! No clock, no hardware, no allocation, no floating point: time comes in as [`Ticks`] and
+//! everything is decided by it.
 //!
 //! # What it promises
-//! - Edges of a move lie exactly one interval apart; commands follow each other without a gap as
-//!   long as the ring holds the next one 20 ms ahead; all axes keep one timeline.
+//! - Edges of a raw move lie exactly one interval apart; every edge of a ramp or a line within one
+//!   tick (62.5 ns) of its ideal time: half a tick of rounding, a quarter of fitting. Commands
+//!   follow each other without a gap; all axes keep one timeline.
+//! - A ramp takes the time of the closed form, to the tick. Speed, acceleration and jerk never
+//!   exceed what was asked for; at a corner of a path the speed of an axis jumps by
+//!   [`AxisProfile::junction_hz`] at most.
 //! - The position is exact at every instant: the ledger counts active edges that have left the pin,
 //!   also when a stop cuts a block short.
+//! - A change in flight takes effect behind what the hardware holds: 2 ms at most.
+//! - What is planned ends at rest. A planner that comes too late in the middle of a path is a fault;
+//!   nothing goes on from there by itself.
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
-//! - A stop ends in one place, [`Motion::stop`], from every state.
+//! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.
 //!
-//! Absent as yet: ramps, lines, homing; [`Motion::check`] refuses them.
+//! Absent as yet: homing; [`Motion::check`] refuses it.
 #![no_std]
 #![deny(clippy::float_arithmetic)]
 
 pub mod axis;
 pub mod backend;
+pub mod counterparts;
 pub mod encoder;
+pub mod io;
+pub mod law;
 pub mod ledger;
 pub mod limits;
+pub mod lookahead;
+pub mod path;
 pub mod profile;
+pub mod real;
 pub mod ring;
 pub mod segment;
 pub mod symbol;
 
 mod motion;
 mod planner;
+mod steps;
 
 pub use axis::Axis;
 pub use backend::StepBackend;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
-pub use motion::{CommandError, Motion, MotionConfig, MotionEvent};
+pub use motion::{CommandError, Course, DriveError, Motion, MotionConfig, MotionEvent, Target};
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};
 pub use segment::Direction;

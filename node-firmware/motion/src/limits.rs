@@ -26,22 +26,23 @@ pub const PART_TICKS_MIN: u64 = 2;
 /// Shortest symbol.
 pub const WORD_TICKS_MIN: u64 = 2 * PART_TICKS_MIN;
 
-/// Longest low part of one word that this crate writes: 250 µs, although the hardware could take
-/// 4 ms. So a resting or slow axis has at most 48 · 250 µs = 12 ms in its block, and what comes
-/// next (another command, a stop) need not wait longer than that.
-pub const LOW_WORD_TICKS_MAX: u64 = 4_000;
+/// Longest rest in one word that this crate writes: 40 µs, although the hardware could take 4 ms.
+/// So a resting or slow axis has at most 48 · 40 µs = 1.92 ms in its block, and what comes next
+/// (another speed, a stop) need not wait longer than that.
+pub const LOW_WORD_TICKS_MAX: u64 = 640;
 
 /// Latest that a refill may come after its threshold when a direction changes: 50 µs. The
 /// direction pin is switched in the refill, so this much rest surrounds a turn.
 pub const TURN_LATENCY_TICKS: u64 = 50 * TICKS_PER_US;
 
-/// Least that a half block of rest lasts: 80 µs for the refill.
-pub const REST_HALF_TICKS_MIN: u64 = 80 * TICKS_PER_US;
+/// Least that a half block of rest lasts: 120 µs for the refill, as long as a half block of steps
+/// at 200 kHz.
+pub const REST_HALF_TICKS_MIN: u64 = 120 * TICKS_PER_US;
 
-/// Segments that wait for the encoder, for each axis: 16 bytes each, 2 KiB of internal RAM. More
+/// Segments that wait for the encoder, for each axis: 40 bytes each, 7.5 KiB of internal RAM. More
 /// than two blocks, so that an axis that steps at every command cannot come to its end while
 /// another one still has its ring full; and at 1 MHz more time than two half blocks of rest.
-pub const SEGMENTS_MAX: usize = 128;
+pub const SEGMENTS_MAX: usize = 192;
 
 /// Most segments that one command puts on one axis: rest, turn, steps, rest.
 pub const SEGMENTS_PER_COMMAND: usize = 4;
@@ -50,9 +51,14 @@ pub const SEGMENTS_PER_COMMAND: usize = 4;
 /// task is ever held up by others.
 pub const LOW_WATER_TICKS: u64 = 20_000 * TICKS_PER_US;
 
+/// A line is planned no earlier than this before it begins: 100 ms. Until then more of its path
+/// may arrive, so that it need not end at rest; and it is more than [`LOW_WATER_TICKS`] and what a
+/// block holds.
+pub const PATH_AHEAD_TICKS: u64 = 100_000 * TICKS_PER_US;
+
 /// Commands that are planned and not yet executed. The block holds up to 48 of one step each, the
-/// segment ring 128; the rest is for those that take no time.
-pub const MARKS_MAX: usize = 512;
+/// segment ring 192; the rest is for those that take no time.
+pub const MARKS_MAX: usize = 640;
 
 /// A start at an instant is begun this much before it: 3 ms. A task may be woken that late; the
 /// lead-in takes what is left, to the tick.
@@ -77,7 +83,8 @@ const _: () = assert!(
     "a turn fits one half block"
 );
 const _: () = assert!(MARKS_MAX >= 2 * (CHANNEL_WORDS + SEGMENTS_MAX));
-const _: () = assert!(ALARM_TICKS <= REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX);
+const _: () = assert!(PATH_AHEAD_TICKS > 2 * LOW_WATER_TICKS);
+const _: () = assert!(ALARM_TICKS <= REFILL_WORDS as u64 * PART_TICKS_MAX);
 const _: () = assert!(SEGMENTS_MAX > 2 * CHANNEL_WORDS);
 const _: () = assert!(SEGMENTS_MAX as u64 * TICKS_PER_US > 3 * REST_HALF_TICKS_MIN / 2);
 const _: () = assert!(CHANNELS <= keys::AXES_MAX);

@@ -1,12 +1,33 @@
 //! [`Motion`]: the ring, the planner, the axes and what ends when, behind one door.
 
+mod change;
+mod check;
+mod drive;
+mod marks;
+
+pub use check::CommandError;
+pub use drive::{Course, DriveError, Target};
+
+use drive::Drive;
+use marks::{Mark, Marks, What};
+
 use crate::{
-    AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
-    limits::{ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, TICK_HZ, TICKS_PER_US},
-    planner::{Planner, Run, runs_of, ticks_of},
+    Axis, AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
+    law::speed_from_hz,
+    limits::{
+        ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, PATH_AHEAD_TICKS, TICK_HZ, TICKS_PER_US,
+    },
+    lookahead::{LINES_MAX, Line},
+    planner::{Begun, Planner, Run, Split, runs_of, ticks_of},
     profile::Timing,
+    steps::Moment,
 };
-use keys::{AxisId, Command, Features, StopMode, status::FaultCode};
+use core::mem;
+use keys::{
+    AxisId, Command, Features, StopMode,
+    command::{Ramp, RampShape},
+    status::FaultCode,
+};
 
 /// The axes of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,6 +64,10 @@ pub enum MotionEvent {
     Rest,
     /// A stop is complete: the last pulse has left.
     Stopped,
+    /// Motion is held: see [`Motion::hold`].
+    Held,
+    /// A drive has come to rest: see [`Motion::drive`].
+    DriveEnded,
     /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`].
     AtBarrier {
         /// Number of the barrier in the queue.
@@ -62,118 +87,15 @@ pub enum MotionEvent {
     },
     /// The pulse hardware found a fault.
     Fault(FaultCode),
-}
-
-/// Why a command cannot be executed here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CommandError {
-    /// The node has no such axis.
-    Axis(AxisId),
-    /// This firmware cannot do it.
-    NotSupported,
-    /// The interval is shorter than the driver's pulse, ns.
-    TooFast {
-        /// The shortest interval of the axis.
-        interval_ns_min: u32,
-    },
-    /// A step count of 0, or an interval of 0.
-    Nothing,
-    /// It would take longer than [`COMMAND_TICKS_MAX`](crate::limits::COMMAND_TICKS_MAX).
-    TooLong,
-    /// A value out of range.
-    Range,
-}
-
-impl core::fmt::Display for CommandError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Axis(axis) => write!(f, "there is no axis {}", axis.0),
-            Self::NotSupported => write!(f, "not supported by this node's firmware"),
-            Self::TooFast { interval_ns_min } => write!(
-                f,
-                "the driver needs at least {interval_ns_min} ns from step to step"
-            ),
-            Self::Nothing => write!(f, "no steps, or no time between them"),
-            Self::TooLong => write!(f, "it would take thousands of years"),
-            Self::Range => write!(f, "a value is out of range"),
-        }
-    }
-}
-
-impl core::error::Error for CommandError {}
-
-/// A command that is planned and not yet executed.
-#[derive(Clone, Copy, Debug)]
-struct Mark {
-    end: Ticks,
-    what: What,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum What {
-    Moves([Option<Run>; 2]),
-    Rest,
-    Laser {
-        power_percent: u8,
-    },
-    Lidar,
-    /// From here on, position = origin + played steps.
-    Origin {
+    /// At rest, ledger and pulse counter disagree about an axis.
+    Miscount {
+        /// The axis.
         axis: AxisId,
-        origin_steps: i64,
+        /// What the ledger says, steps since boot.
+        ledger_steps: i64,
+        /// What was counted at the pin, steps since boot.
+        counted_steps: i64,
     },
-}
-
-/// Marks in order of time. Full is an answer: the planner waits.
-#[derive(Debug)]
-struct Marks {
-    marks: [Mark; MARKS_MAX],
-    first: usize,
-    count: usize,
-}
-
-impl Marks {
-    const fn new() -> Self {
-        let none = Mark {
-            end: Ticks(0),
-            what: What::Rest,
-        };
-        Self {
-            marks: [none; MARKS_MAX],
-            first: 0,
-            count: 0,
-        }
-    }
-
-    fn front(&self) -> Option<&Mark> {
-        (self.count > 0).then(|| &self.marks[self.first])
-    }
-
-    fn iter(&self) -> impl Iterator<Item = &Mark> {
-        (0..self.count).map(|index| &self.marks[(self.first + index) % MARKS_MAX])
-    }
-
-    fn push(&mut self, mark: Mark) {
-        assert!(self.count < MARKS_MAX, "the planner checks the room");
-        self.marks[(self.first + self.count) % MARKS_MAX] = mark;
-        self.count += 1;
-    }
-
-    fn pop(&mut self) -> Option<Mark> {
-        let mark = *self.front()?;
-        self.first = (self.first + 1) % MARKS_MAX;
-        self.count -= 1;
-        Some(mark)
-    }
-
-    fn is_full(&self) -> bool {
-        self.count == MARKS_MAX
-    }
-
-    /// Drops the marks that end later than this.
-    fn cut(&mut self, at: Ticks) {
-        self.count = self.iter().take_while(|mark| mark.end <= at).count();
-    }
 }
 
 /// Where the pulses are.
@@ -198,6 +120,18 @@ enum Barrier {
     Waiting,
     /// To be released at this instant.
     Armed { start_at: Ticks },
+}
+
+/// Whether motion is held.
+#[derive(Clone, Copy, Debug)]
+enum Hold {
+    None,
+    /// It slows down, or a command without a path is under way.
+    Slowing,
+    /// It rests or will, within this line.
+    At(Split),
+    /// It goes on with this line.
+    Resuming(Split),
 }
 
 /// A barrier was released, and its first edge has not been told.
@@ -225,6 +159,14 @@ pub struct Motion<'m, B: StepBackend> {
     phase: Phase,
     barrier: Barrier,
     start: Option<Start>,
+    hold: Hold,
+    /// A change in flight has not been made yet.
+    change_due: bool,
+    /// How many commands there were when the end of the path was looked at.
+    extended_commands: u64,
+    drive: Option<Drive>,
+    /// Share of the lines' speed, 2⁻¹⁶.
+    share: u32,
     /// What is planned from rest begins no earlier: a barrier was released for this instant.
     resume_at: Ticks,
     now: Ticks,
@@ -232,15 +174,21 @@ pub struct Motion<'m, B: StepBackend> {
     quiet_at: Ticks,
     /// When the channels were started.
     started_at: Ticks,
-    /// Speed of each axis in a controlled stop.
-    stopping_mhz: [i32; CHANNELS],
+    /// Speed of what each axis has encoded last.
+    encoded_mhz: [i32; CHANNELS],
     origins_steps: [i64; CHANNELS],
+    /// Origins at the end of what is planned.
+    planned_origins_steps: [i64; CHANNELS],
     /// Played steps at the end of what is planned.
     planned_steps: [i64; CHANNELS],
     accepted_commands: u64,
     executed_commands: u64,
     expected_commands: u64,
     fault: Option<FaultCode>,
+    /// Axes that are to be compared with their counters.
+    unchecked_axes: usize,
+    /// By how much each counter is known to differ from the ledger.
+    miscounts_steps: [i64; CHANNELS],
 }
 
 impl<'m, B: StepBackend> Motion<'m, B> {
@@ -274,17 +222,25 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             phase: Phase::Rest,
             barrier: Barrier::Open,
             start: None,
+            hold: Hold::None,
+            change_due: false,
+            extended_commands: 0,
+            drive: None,
+            share: 1 << 16,
             resume_at: Ticks(0),
             now: Ticks(0),
             quiet_at: Ticks(0),
             started_at: Ticks(0),
-            stopping_mhz: [0; CHANNELS],
+            encoded_mhz: [0; CHANNELS],
             origins_steps: [0; CHANNELS],
+            planned_origins_steps: [0; CHANNELS],
             planned_steps: [0; CHANNELS],
             accepted_commands: 0,
             executed_commands: 0,
             expected_commands: 0,
             fault: None,
+            unchecked_axes: 0,
+            miscounts_steps: [0; CHANNELS],
         }
     }
 
@@ -295,47 +251,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns what this firmware can do.
     pub fn features(&self) -> Features {
-        Features::BASIC.with(Features::BARRIERS)
-    }
-
-    /// Returns whether the command can be executed here.
-    ///
-    /// # Errors
-    /// Why not.
-    pub fn check(&self, command: &Command) -> Result<(), CommandError> {
-        if !self.features().has(command.feature()) {
-            return Err(CommandError::NotSupported);
-        }
-        if let Some(axis) = command.axis_max()
-            && usize::from(axis.0) >= self.axis_count
-        {
-            return Err(CommandError::Axis(axis));
-        }
-        match *command {
-            Command::Move {
-                delay_us, steps, ..
-            } if delay_us == 0 || steps == 0 => return Err(CommandError::Nothing),
-            Command::SyncMove { delay_us, steps } if delay_us.contains(&0) || steps == [0, 0] => {
-                return Err(CommandError::Nothing);
-            }
-            Command::Laser { power_percent } if power_percent > 100 => {
-                return Err(CommandError::Range);
-            }
-            _ => {}
-        }
-        for run in runs_of(command) {
-            let least = self.timing[usize::from(run.axis.0)].interval_ticks_min();
-            if run.steps == i32::MIN {
-                return Err(CommandError::Range);
-            }
-            if run.interval_ticks < least {
-                let ns = (least * 1_000_000_000).div_ceil(TICK_HZ);
-                return Err(CommandError::TooFast {
-                    interval_ns_min: u32::try_from(ns).unwrap_or(u32::MAX),
-                });
-            }
-        }
-        ticks_of(command).map(|_| ()).ok_or(CommandError::TooLong)
+        Features::BASIC
+            .with(Features::RAMPS)
+            .with(Features::BARRIERS)
     }
 
     /// Returns how many commands still fit.
@@ -370,6 +288,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Returns whether something was accepted and has not ended, or a stop is under way.
     pub fn is_active(&self) -> bool {
         self.accepted_commands > self.executed_commands
+            || self.drive.is_some()
             || matches!(self.phase, Phase::Decelerating | Phase::Stopped)
     }
 
@@ -406,18 +325,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns the speed of an axis with sign, as of the last `now`, mHz.
     pub fn speed_mhz(&self, axis: AxisId) -> i32 {
-        if self.phase == Phase::Decelerating {
-            return self
-                .stopping_mhz
-                .get(usize::from(axis.0))
-                .copied()
-                .unwrap_or(0);
+        let encoded_mhz = self.encoded_mhz.get(usize::from(axis.0));
+        let encoded_mhz = encoded_mhz.copied().unwrap_or(0);
+        if self.phase == Phase::Decelerating || self.drive.is_some() {
+            return encoded_mhz;
         }
         let Some(mark) = self.marks.iter().find(|mark| mark.end > self.now) else {
             return 0;
         };
-        let What::Moves(runs) = mark.what else {
-            return 0;
+        let runs = match mark.what {
+            What::Moves(runs) => runs,
+            What::Path(_) => return encoded_mhz,
+            _ => return 0,
         };
         let run = runs.into_iter().flatten().find(|run| run.axis == axis);
         let Some(run) = run else { return 0 };
@@ -447,6 +366,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(code) = self.fault.take() {
                 return Some(MotionEvent::Fault(code));
             }
+            if let Some(event) = self.check_counters() {
+                return Some(event);
+            }
             if let Some(event) = self.pass_marks() {
                 return Some(event);
             }
@@ -474,9 +396,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 Phase::Playing { .. } | Phase::Decelerating => self.backend.service(now),
             };
             self.fault = self.backend.take_fault();
-            if self.phase == Phase::Decelerating {
-                self.note_stopping_speeds();
-            }
+            self.note_speeds();
         }
     }
 
@@ -511,7 +431,16 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                         .max(self.now.plus(1))
                 });
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
-                marks.chain(end).chain(first_edge).chain(alarm).min()
+                // A drive or a resumption begins with the next call.
+                let begins = matches!(self.hold, Hold::Resuming(_))
+                    || self.drive.is_some_and(|drive| drive.next.is_some());
+                let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
+                marks
+                    .chain(end)
+                    .chain(first_edge)
+                    .chain(alarm)
+                    .chain(begin)
+                    .min()
             }
         }
     }
@@ -527,6 +456,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     self.fault = Some(code);
                     break;
                 }
+                MotionEvent::Miscount { axis, .. } => {
+                    // Told again when the stop is complete.
+                    self.miscounts_steps[usize::from(axis.0)] = 0;
+                    break;
+                }
                 MotionEvent::Stopped => {
                     self.phase = Phase::Stopped;
                     break;
@@ -534,7 +468,6 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 _ => {}
             }
         }
-        self.ring.clear();
         match (self.phase, mode) {
             (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
             (Phase::Rest, _) => self.end_stop(),
@@ -551,6 +484,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.accepted_commands = 0;
         self.executed_commands = 0;
         self.expected_commands = 0;
+        self.extended_commands = 0;
     }
 
     /// Takes what has ended by `self.now`.
@@ -560,10 +494,13 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         {
             let what = mark.what;
             self.marks.pop();
+            self.ring.pop();
             self.executed_commands += 1;
             match what {
-                What::Moves(_) | What::Rest => {}
-                What::Origin { axis, origin_steps } => {
+                What::Moves(_) | What::Path(_) | What::Rest => {}
+                What::Origin {
+                    axis, origin_steps, ..
+                } => {
                     self.origins_steps[usize::from(axis.0)] = origin_steps;
                 }
                 What::Laser { power_percent } => {
@@ -606,7 +543,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 Some(MotionEvent::BarrierMissed { command })
             }
             Barrier::Armed { start_at } => {
-                self.ring.pop();
+                self.ring.advance();
                 self.marks.push(Mark {
                     end: start_at,
                     what: What::Rest,
@@ -668,7 +605,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 self.settle_axes();
                 self.phase = Phase::Rest;
+                if self.planner.is_unfinished() {
+                    // The axes stood still in the middle of a path. Nothing goes on from there by
+                    // itself.
+                    self.fault = Some(FaultCode::PLAN_LATE);
+                }
                 self.planner.rest();
+                match self.hold {
+                    Hold::None if self.drive.is_some() => return self.pass_drive(),
+                    Hold::None => {}
+                    Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
+                    Hold::Resuming(_) => return None,
+                }
                 let at_barrier = matches!(self.ring.peek(), Some(Command::Barrier { .. }));
                 if self.executed_commands < self.expected_commands && !at_barrier {
                     Some(MotionEvent::Underrun)
@@ -679,15 +627,47 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
     }
 
+    /// Compares the ledger with the counters after the axes have come to rest. A difference is told
+    /// once.
+    fn check_counters(&mut self) -> Option<MotionEvent> {
+        while self.unchecked_axes > 0 {
+            self.unchecked_axes -= 1;
+            let index = self.unchecked_axes;
+            let axis = AxisId(index as u8);
+            let ledger_steps = self.backend.played_steps(axis);
+            let counted_steps = self.backend.counted_steps(axis).unwrap_or(ledger_steps);
+            let miscount = counted_steps - ledger_steps;
+            if mem::replace(&mut self.miscounts_steps[index], miscount) != miscount {
+                return Some(MotionEvent::Miscount {
+                    axis,
+                    ledger_steps,
+                    counted_steps,
+                });
+            }
+        }
+        None
+    }
+
     /// All channels have ended by themselves.
     fn settle_axes(&mut self) {
+        self.unchecked_axes = self.axis_count;
         for axis in 0..self.axis_count {
             let played = self.backend.played_steps(AxisId(axis as u8));
             self.backend.axes()[axis].halt(played);
         }
     }
 
+    /// Begins a controlled stop: on its path, by its own law, where a ramp or a line is under way;
+    /// else each axis by itself.
     fn decelerate(&mut self) {
+        self.planner.hold(true);
+        if self.change_path().is_some() {
+            self.phase = Phase::Decelerating;
+            self.note_speeds();
+            return;
+        }
+        self.ring.clear();
+        self.planner.forget();
         let mut cut_ticks = u64::MAX;
         for axis in &mut self.backend.axes()[..self.axis_count] {
             cut_ticks = cut_ticks.min(axis.encoded_ticks());
@@ -697,13 +677,13 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         let cut = self.started_at.plus(cut_ticks);
         self.marks.cut(cut);
         self.phase = Phase::Decelerating;
-        self.note_stopping_speeds();
+        self.note_speeds();
     }
 
-    fn note_stopping_speeds(&mut self) {
+    fn note_speeds(&mut self) {
         let axes = &self.backend.axes()[..self.axis_count];
-        for (to, axis) in self.stopping_mhz.iter_mut().zip(axes) {
-            let speed_mhz = axis.stopping_mhz().unwrap_or(0);
+        for (to, axis) in self.encoded_mhz.iter_mut().zip(axes) {
+            let speed_mhz = axis.speed_mhz();
             *to = match i32::try_from(speed_mhz) {
                 Ok(speed_mhz) => speed_mhz,
                 Err(_) if speed_mhz < 0 => i32::MIN,
@@ -713,12 +693,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     }
 
     fn end_stop(&mut self) {
+        self.unchecked_axes = self.axis_count;
         self.marks.cut(self.now);
         self.pass_marks_silently();
+        self.ring.clear();
         self.planner.forget();
+        self.hold = Hold::None;
+        self.change_due = false;
+        self.drive = None;
         for axis in 0..self.axis_count {
             self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
         }
+        self.planned_origins_steps = self.origins_steps;
         self.phase = Phase::Stopped;
         self.barrier = Barrier::Open;
         self.start = None;
@@ -729,17 +715,96 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         while self.pass_marks().is_some() {}
     }
 
+    fn is_stopping(&self) -> bool {
+        matches!(self.phase, Phase::Decelerating | Phase::Stopped)
+    }
+
     /// Plans as much as fits.
     fn plan(&mut self) {
+        if self.phase == Phase::Stopped {
+            return;
+        }
+        self.pass_change();
+        self.change_drive();
+        self.extend_path();
+        if self.phase != Phase::Rest {
+            let axes = &self.backend.axes()[..self.axis_count];
+            let encoded = axes.iter().map(Axis::encoded_ticks).min().unwrap_or(0);
+            self.planner.retire(self.started_at.0 + encoded);
+        }
         let mut starts_at = None;
         let mut lead_ticks = self.lead_ticks;
-        while let Some(command) = self.ring.peek()
-            && !self.marks.is_full()
-            && !matches!(command, Command::Barrier { .. })
+        while self
+            .planner
+            .write(&mut self.backend.axes()[..self.axis_count])
+            && self.planner.has_room()
         {
-            let takes_time = ticks_of(&command).is_some_and(|ticks| ticks > 0);
+            if self.phase == Phase::Decelerating && !self.planner.is_at_speed() {
+                break;
+            }
+            if let Hold::Resuming(split) = self.hold {
+                if self.phase != Phase::Rest {
+                    break;
+                }
+                let at = self.now.max(self.quiet_at);
+                starts_at = Some(at);
+                self.hold = Hold::None;
+                let own = self.marks.take_back(self.now);
+                let at = Moment::of(at.plus(lead_ticks).0);
+                if let Some(own) = own {
+                    self.undo_steps(own);
+                }
+                self.go_on(Split { at, ..split }, own);
+                continue;
+            }
+            if let Some(Drive { axis, next, due }) = self.drive {
+                let Some(leg) = next.filter(|_| !due || self.phase == Phase::Rest) else {
+                    break;
+                };
+                let appends = self.can_append(starts_at.is_some());
+                let begin = match self.phase {
+                    Phase::Playing { timeline } if appends => timeline,
+                    Phase::Rest => {
+                        let at = self.now.max(self.quiet_at);
+                        starts_at = Some(at);
+                        at.plus(lead_ticks)
+                    }
+                    _ => break,
+                };
+                self.drive = Some(Drive {
+                    axis,
+                    next: None,
+                    due: false,
+                });
+                self.begin_leg(axis, leg, begin);
+                continue;
+            }
+            let Some(command) = self.ring.peek() else {
+                break;
+            };
+            if self.marks.is_full() || matches!(command, Command::Barrier { .. }) {
+                break;
+            }
+            if self.is_held() && !self.planner.is_at_speed() {
+                break;
+            }
+            let line = self.line_of(&command);
+            if self.phase == Phase::Decelerating && line.is_none() {
+                // It takes no time; what it would do is over.
+                self.ring.advance();
+                continue;
+            }
+            let takes_time = line.is_some() || ticks_of(&command).is_some_and(|ticks| ticks > 0);
             let begin = match self.phase {
-                Phase::Decelerating | Phase::Stopped => break,
+                Phase::Stopped => break,
+                Phase::Decelerating => Ticks(0),
+                Phase::Playing { timeline }
+                    if matches!(command, Command::Line { .. })
+                        && starts_at.is_none()
+                        && timeline > self.now.plus(PATH_AHEAD_TICKS) =>
+                {
+                    break;
+                }
                 Phase::Playing { timeline } => {
                     if takes_time && !self.can_append(starts_at.is_some()) {
                         break;
@@ -754,19 +819,94 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 Phase::Rest => self.now.max(self.resume_at),
             };
-            let mut end = begin;
-            if takes_time {
-                let axes = &mut self.backend.axes()[..self.axis_count];
-                end = begin.plus(self.planner.plan(&command, axes));
-                self.phase = Phase::Playing { timeline: end };
+            let mut first_edge_at = None;
+            if let Some((line, jump_steps)) = line {
+                let begun = self.begin_line(line, jump_steps, begin);
+                first_edge_at = begun.first_edge_ticks.map(Ticks);
+                self.ring.advance();
+                if self.phase == Phase::Decelerating {
+                    continue;
+                }
+                for (planned, steps) in self.planned_steps.iter_mut().zip(line.steps) {
+                    *planned += steps;
+                }
+                self.note_path(&begun, Some(What::Path(line.steps)));
+            } else {
+                let mut end = begin;
+                if takes_time {
+                    let axes = &mut self.backend.axes()[..self.axis_count];
+                    end = begin.plus(self.planner.plan(&command, axes));
+                    self.phase = Phase::Playing { timeline: end };
+                }
+                let mut runs = runs_of(&command);
+                let runs = [runs.next(), runs.next()];
+                if runs[0].is_some() {
+                    first_edge_at = Some(Ticks(end.0 - command_ticks(&runs)));
+                }
+                self.ring.advance();
+                self.note(&command, runs, end);
             }
-            self.ring.pop();
-            self.note(&command, end);
+            if let Some(start) = self.start.as_mut()
+                && start.first_edge_at.is_none()
+            {
+                start.first_edge_at = first_edge_at;
+            }
         }
         if let Some(at) = starts_at {
             self.started_at = at;
             self.backend.start(at, lead_ticks);
         }
+    }
+
+    /// Returns the way of a ramp or a line and how many steps of its ramp it jumps over; `None`
+    /// for other commands and where there is no way to go.
+    fn line_of(&self, command: &Command) -> Option<(Line, u16)> {
+        let ramp = |axis: AxisId, steps: i64, ramp: Ramp| {
+            if steps == 0 {
+                return None;
+            }
+            let mut all = [0; CHANNELS];
+            all[usize::from(axis.0)] = steps;
+            let jump_steps = match ramp.shape {
+                RampShape::Trapezoid { jump_steps, .. } => jump_steps,
+                RampShape::Jerk { .. } => 0,
+            };
+            let speed = speed_from_hz(ramp.speed_hz);
+            let line = Line {
+                joins: false,
+                ..Line::new(all, speed, ramp.accel_hz_per_s, ramp.shape)
+            };
+            Some((line, jump_steps))
+        };
+        match *command {
+            Command::Ramp {
+                axis,
+                steps,
+                ramp: how,
+            } => ramp(axis, i64::from(steps), how),
+            Command::RampTo {
+                axis,
+                position_steps,
+                ramp: how,
+            } => {
+                let index = usize::from(axis.0);
+                let origin = self.planned_origins_steps[index];
+                let here = origin.wrapping_add(self.planned_steps[index]);
+                let way = i128::from(position_steps) - i128::from(here);
+                let way = way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX);
+                ramp(axis, way as i64, how)
+            }
+            _ => line_of(command).map(|line| (line, 0)),
+        }
+    }
+
+    fn begin_line(&mut self, line: Line, jump_steps: u16, begin: Ticks) -> Begun {
+        let ring = &self.ring;
+        let behind = lines_of((1..).map_while(|index| ring.peek_at(index)));
+        let axes = &self.backend.axes()[..self.axis_count];
+        let base_steps = self.planned_steps;
+        self.planner
+            .begin(line, jump_steps, behind, begin.0, base_steps, axes)
     }
 
     /// Returns whether every axis can take one more command. An axis that has ended cannot go on,
@@ -777,10 +917,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             .all(|axis| axis.has_room() && (before_start || !axis.has_ended()))
     }
 
-    /// Notes what ends when.
-    fn note(&mut self, command: &Command, end: Ticks) {
-        let mut runs = runs_of(command);
-        let runs = [runs.next(), runs.next()];
+    /// Notes what ends when, of what is no path.
+    fn note(&mut self, command: &Command, runs: [Option<Run>; 2], end: Ticks) {
         let what = match *command {
             Command::Laser { power_percent } => What::Laser { power_percent },
             Command::LidarRead => What::Lidar,
@@ -789,24 +927,69 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 position_steps,
             } => {
                 let index = usize::from(axis.0);
+                let before_steps = self.planned_origins_steps[index];
                 // A position is a place on a ring of 2⁶⁴ steps.
                 let origin_steps = position_steps.wrapping_sub(self.planned_steps[index]);
-                What::Origin { axis, origin_steps }
+                self.planned_origins_steps[index] = origin_steps;
+                What::Origin {
+                    axis,
+                    origin_steps,
+                    before_steps,
+                }
             }
             _ if runs[0].is_some() => What::Moves(runs),
             _ => What::Rest,
         };
-        if let Some(start) = self.start.as_mut()
-            && start.first_edge_at.is_none()
-            && runs[0].is_some()
-        {
-            start.first_edge_at = Some(Ticks(end.0 - command_ticks(&runs)));
-        }
         for run in runs.into_iter().flatten() {
             self.planned_steps[usize::from(run.axis.0)] += i64::from(run.steps);
         }
         self.marks.push(Mark { end, what });
     }
+}
+
+/// Longest way of one ramp: 4·10¹⁸ steps, 630,000 years at 200 kHz.
+const WAY_STEPS_MAX: i128 = 1 << 62;
+
+/// Commands behind a line that are looked at: [`LINES_MAX`] lines and as many between them that
+/// take no time.
+const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
+
+/// Returns the lines with which commands begin. What takes no time does not end a path.
+fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Line> {
+    commands
+        .take(LOOK_COMMANDS_MAX)
+        .filter(|next| !takes_no_time(next))
+        .map_while(|next| line_of(&next))
+}
+
+fn takes_no_time(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
+    )
+}
+
+/// Returns the way of a [`Command::Line`], `None` for other commands.
+fn line_of(command: &Command) -> Option<Line> {
+    let Command::Line {
+        steps,
+        speed_hz,
+        accel_hz_per_s,
+        jerk_hz_per_s2,
+    } = *command
+    else {
+        return None;
+    };
+    let shape = match jerk_hz_per_s2 {
+        0 => RampShape::Trapezoid {
+            linear_steps: 0,
+            jump_steps: 0,
+        },
+        jerk_hz_per_s2 => RampShape::Jerk { jerk_hz_per_s2 },
+    };
+    let steps = steps.map(i64::from);
+    let speed = speed_from_hz(speed_hz);
+    Some(Line::new(steps, speed, accel_hz_per_s, shape))
 }
 
 /// Returns when the channels are surely quiet after the end of a timeline: the last step's hold

@@ -14,8 +14,14 @@
 
 use crate::{
     axis::Axis,
+    law::Law,
     limits::{CHANNELS, COMMAND_TICKS_MAX, TICKS_PER_US, WORD_TICKS_MIN},
+    lookahead::{Line, LookAhead},
+    path::{Path, State},
+    profile::Timing,
+    real::Real,
     segment::{Direction, Segment},
+    steps::{Exit, Moment, Steps},
 };
 use keys::{AxisId, Command};
 
@@ -69,27 +75,265 @@ pub(crate) fn ticks_of(command: &Command) -> Option<u64> {
     (ticks <= COMMAND_TICKS_MAX).then_some(ticks)
 }
 
+/// What is known of a ramp or line when it begins.
 #[derive(Clone, Copy, Debug)]
-struct Tail {
+pub(crate) struct Begun {
+    /// Tick of the first edge of all.
+    pub(crate) first_edge_ticks: Option<u64>,
+    /// Tick of its end.
+    pub(crate) end_ticks: u64,
+    /// Where it ends at rest before the line does.
+    pub(crate) held: Option<Split>,
+}
+
+/// Stretches of path that are not encoded to their end. Full is an answer: the planner waits.
+pub(crate) const STRETCHES_MAX: usize = 32;
+
+/// What a stretch of path does at its end.
+#[derive(Clone, Copy, Debug)]
+enum Goal {
+    /// It makes the line's way and leaves it at this speed.
+    Leave(Real),
+    /// It comes to rest as soon as the law allows, or leaves the line slowing down.
+    Rest,
+}
+
+/// A stretch of path: a line, or a part of one where it was changed in flight. Small, so that many
+/// can be kept; its path and its edges are made when they are written.
+#[derive(Clone, Copy, Debug)]
+struct Stretch {
+    line: Line,
+    from: State,
+    goal: Goal,
+    /// It was left at this time for another one.
+    until: Option<Real>,
+    begin: Moment,
+    end_ticks: u64,
+    exit: Exit,
+    /// Booked steps of each axis where the line began.
+    base_steps: [i64; CHANNELS],
+}
+
+impl Stretch {
+    fn path(&self) -> Path {
+        let way = Real::of(self.line.major_steps);
+        let law = &self.line.law;
+        let mut path = match self.goal {
+            Goal::Leave(speed) => {
+                let most = self.line.speed_max;
+                Path::plan(self.from, way, speed, most, law)
+                    .or_else(|_| Path::plan(self.from, way, self.from.speed, most, law))
+                    .unwrap_or_else(|_| slow_down(self.from, way, law))
+            }
+            Goal::Rest => slow_down(self.from, way, law),
+        };
+        if let Some(ticks) = self.until {
+            path.cut(ticks);
+        }
+        path
+    }
+
+    fn steps(&self, timing: &[Timing]) -> Steps {
+        let line = &self.line;
+        Steps::new(
+            self.path(),
+            self.begin,
+            self.exit,
+            line.major_steps,
+            line.steps,
+            timing,
+        )
+    }
+}
+
+/// Comes to rest, at the latest where the line ends.
+fn slow_down(from: State, way: Real, law: &Law) -> Path {
+    let mut path = Path::at(from);
+    path.come_to_rest(law);
+    if path.end_steps() > way {
+        path.cut(path.ticks_at(way));
+    }
+    path
+}
+
+/// A line that was left in flight.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Split {
+    pub(crate) line: Line,
+    /// Where it was left, or is.
+    pub(crate) from: State,
+    /// When it goes on.
+    pub(crate) at: Moment,
+    pub(crate) base_steps: [i64; CHANNELS],
+}
+
+/// A path that is left more slowly than one step in this time is at rest: 4.6 hours.
+const SLOWEST_TICKS: u64 = 1 << 38;
+
+/// A path that ends within 2⁻²⁰ steps of its line's end makes all of it.
+const WHOLE_BITS: i32 = 20;
+
+fn timing_of(axes: &[Axis]) -> [Timing; CHANNELS] {
+    core::array::from_fn(|index| axes.get(index).unwrap_or(&axes[0]).timing())
+}
+
+/// Where one axis' segments end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tail {
     /// Planned rest since the last step's high time, saturating.
     low_ticks: u64,
     direction: Option<Direction>,
+    /// Up to where segments are written, while a path is.
+    pub(crate) at: u64,
+    /// An edge that is not written: its interval depends on what comes next.
+    pub(crate) edge_at: Option<u64>,
+}
+
+impl Tail {
+    const REST: Self = Self {
+        low_ticks: u64::MAX,
+        direction: None,
+        at: 0,
+        edge_at: None,
+    };
+
+    /// Writes what comes before an edge at `at`, turned to `direction`. Returns its tick: up to two
+    /// off where the hardware cannot rest so shortly, which only a change in flight asks for.
+    pub(crate) fn approach(&mut self, axis: &mut Axis, at: u64, direction: Direction) -> u64 {
+        let at = match self.edge_at {
+            Some(edge) => {
+                let at = at.max(edge + axis.timing().interval_ticks_min());
+                self.release_edge(axis, at);
+                at
+            }
+            // Less than a word cannot be rested: the nearer of both ends.
+            None if at > self.at + WORD_TICKS_MIN / 2 => {
+                let at = at.max(self.at + WORD_TICKS_MIN);
+                self.rest(axis, at);
+                at
+            }
+            None => self.at,
+        };
+        if self.direction != Some(direction) {
+            axis.push(Segment::Turn { direction });
+            self.direction = Some(direction);
+        }
+        at
+    }
+
+    /// Writes steps that end at `until`.
+    pub(crate) fn steps(&mut self, axis: &mut Axis, segment: Segment, until: u64) {
+        axis.push(segment);
+        self.at = until;
+        self.edge_at = None;
+        self.low_ticks = 0;
+    }
+
+    /// Writes the edge that waits, with the time up to `until`.
+    pub(crate) fn release_edge(&mut self, axis: &mut Axis, until: u64) {
+        if let Some(edge) = self.edge_at.take() {
+            let ticks = until - edge;
+            axis.push(Segment::steady(1, ticks));
+            self.low_ticks = ticks - axis.timing().high_of(ticks);
+            self.at = until;
+        }
+    }
+
+    /// Rests up to `until`.
+    pub(crate) fn rest(&mut self, axis: &mut Axis, until: u64) {
+        if self.edge_at.is_some() {
+            self.release_edge(axis, until);
+        } else if until > self.at {
+            let ticks = until - self.at;
+            axis.push(Segment::Low { ticks });
+            self.low_ticks = self.low_ticks.saturating_add(ticks);
+            self.at = until;
+        }
+    }
+}
+
+/// How the last line is left: speed and acceleration of the tool, and when.
+#[derive(Clone, Copy, Debug)]
+struct Left {
+    speed: Real,
+    accel: Real,
+    at: Moment,
+}
+
+/// How far an axis is encoded.
+#[derive(Clone, Copy, Debug)]
+struct Made {
+    at: u64,
+    booked_steps: i64,
 }
 
 /// What is planned so far: where each axis' timeline ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Planner {
     tails: [Tail; CHANNELS],
+    stretches: [Option<Stretch>; STRETCHES_MAX],
+    count: usize,
+    /// Index of the stretch that is written next.
+    writing: usize,
+    /// What is not yet written of the one before.
+    steps: Option<Steps>,
+    left: Option<Left>,
+    ahead: LookAhead,
+    /// What was encoded when the plan was left last.
+    rewound: [Made; CHANNELS],
+    /// Every line comes to rest as soon as it can.
+    holding: bool,
+    /// Share of the lines' speeds, 2⁻¹⁶.
+    share: u32,
 }
+
+/// All of a line's speed.
+const WHOLE: u32 = 1 << 16;
+
+/// A change in flight takes effect this much behind what is encoded: no rest between two edges is
+/// then shorter than a word.
+const CUT_MARGIN_TICKS: u64 = 4 * WORD_TICKS_MIN;
 
 impl Planner {
     pub(crate) const fn new() -> Self {
         Self {
-            tails: [Tail {
-                low_ticks: u64::MAX,
-                direction: None,
+            tails: [Tail::REST; CHANNELS],
+            stretches: [None; STRETCHES_MAX],
+            count: 0,
+            writing: 0,
+            steps: None,
+            left: None,
+            ahead: LookAhead::new(),
+            rewound: [Made {
+                at: 0,
+                booked_steps: 0,
             }; CHANNELS],
+            holding: false,
+            share: WHOLE,
         }
+    }
+
+    /// Returns whether the next line must follow without a gap.
+    pub(crate) fn is_at_speed(&self) -> bool {
+        self.left.is_some()
+    }
+
+    /// Returns whether the last that is planned, up to `timeline`, is a line that ends at rest
+    /// although it could be left at speed if another one followed. Not so an S-curve: to change it
+    /// while it accelerates would cost time.
+    pub(crate) fn ends_early(&self, timeline: u64) -> bool {
+        let last = self.stretches[..self.count].last().copied().flatten();
+        last.is_some_and(|stretch| {
+            stretch.line.joins
+                && stretch.line.law.jerk().is_none()
+                && stretch.exit == Exit::Rest
+                && stretch.end_ticks == timeline
+        })
+    }
+
+    /// Returns whether something of a path is not written.
+    pub(crate) fn is_unfinished(&self) -> bool {
+        self.left.is_some() || self.steps.is_some() || self.writing < self.count
     }
 
     /// All axes rest, and nothing is planned.
@@ -97,11 +341,364 @@ impl Planner {
         for tail in &mut self.tails {
             tail.low_ticks = u64::MAX;
         }
+        self.drop_path();
     }
 
     /// The queue was dropped: what was planned for the direction pins may not have happened.
     pub(crate) fn forget(&mut self) {
-        *self = Self::new();
+        self.tails = [Tail::REST; CHANNELS];
+        self.drop_path();
+        self.holding = false;
+    }
+
+    fn drop_path(&mut self) {
+        self.count = 0;
+        self.writing = 0;
+        self.steps = None;
+        self.left = None;
+        self.ahead.clear();
+    }
+
+    /// Returns whether another line can begin.
+    pub(crate) fn has_room(&self) -> bool {
+        self.count < STRETCHES_MAX
+    }
+
+    /// Forgets what is encoded on every axis.
+    pub(crate) fn retire(&mut self, encoded_ticks: u64) {
+        let ended = |stretch: &Option<Stretch>| {
+            stretch.is_none_or(|stretch| stretch.end_ticks <= encoded_ticks)
+        };
+        let done = self.stretches[..self.writing]
+            .iter()
+            .take_while(|stretch| ended(stretch))
+            .count();
+        if done > 0 {
+            self.stretches.copy_within(done..self.count, 0);
+            self.count -= done;
+            self.writing -= done;
+        }
+    }
+
+    /// Goes on with the path. Returns whether it is written to its end.
+    pub(crate) fn write(&mut self, axes: &mut [Axis]) -> bool {
+        loop {
+            if let Some(steps) = self.steps.as_mut() {
+                if !steps.write(axes, &mut self.tails[..axes.len()]) {
+                    return false;
+                }
+                self.steps = None;
+            }
+            if self.writing == self.count {
+                return true;
+            }
+            let stretch = self.stretches[self.writing].expect("below the count");
+            let mut steps = stretch.steps(&timing_of(axes)[..axes.len()]);
+            for (index, rewound) in self.rewound.iter().enumerate() {
+                if rewound.at > stretch.begin.ticks {
+                    steps.skip(index, rewound.booked_steps - stretch.base_steps[index]);
+                }
+            }
+            self.steps = Some(steps);
+            self.writing += 1;
+        }
+    }
+
+    /// Begins a ramp or a line at `begin` (or where the last line is left, at speed). `behind` are
+    /// the lines after it, `base_steps` what is planned for each axis before it.
+    pub(crate) fn begin(
+        &mut self,
+        line: Line,
+        jump_steps: u16,
+        behind: impl Iterator<Item = Line>,
+        begin: u64,
+        base_steps: [i64; CHANNELS],
+        axes: &[Axis],
+    ) -> Begun {
+        let (from, begin, moving) = match self.left.take() {
+            Some(left) => (
+                State {
+                    place: Real::ZERO,
+                    speed: left.speed / line.stretch,
+                    accel: left.accel / line.stretch,
+                },
+                left.at,
+                true,
+            ),
+            None => (State::REST, Moment::of(begin), false),
+        };
+        if moving {
+            self.ahead.advance();
+        } else {
+            self.ahead.clear();
+        }
+        let speed = if jump_steps > 0 && !moving {
+            let jump = u64::from(jump_steps).min(line.major_steps);
+            line.law
+                .jump_speed(Real::of(jump))
+                .min(line.speed_max * self.share())
+        } else {
+            from.speed
+        };
+        let from = State { speed, ..from };
+        self.begin_at(line, from, behind, begin, moving, base_steps, axes)
+    }
+
+    /// Goes on with a line from this place and speed.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "one call from each of three beginnings"
+    )]
+    fn begin_at(
+        &mut self,
+        mut line: Line,
+        from: State,
+        behind: impl Iterator<Item = Line>,
+        begin: Moment,
+        moving: bool,
+        base_steps: [i64; CHANNELS],
+        axes: &[Axis],
+    ) -> Begun {
+        let timing = timing_of(axes);
+        let timing = &timing[..axes.len()];
+        let share = self.share();
+        line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
+        let goal = if self.holding {
+            Goal::Rest
+        } else {
+            let behind = behind.map(|mut line| {
+                line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
+                line
+            });
+            let way = Real::of(line.major_steps) - from.place;
+            // No faster than can be reached within the line.
+            let reached = line.law.speed_before(way, from.speed, line.speed_max);
+            let exit_speed = self.ahead.exit_speed(&line, behind, timing);
+            Goal::Leave(exit_speed.min(reached))
+        };
+        let mut stretch = Stretch {
+            line,
+            from,
+            goal,
+            until: None,
+            begin,
+            end_ticks: 0,
+            exit: Exit::Rest,
+            base_steps,
+        };
+        let path = stretch.path();
+        let end = path.end_state();
+        let whole = Real::of(line.major_steps) - path.end_steps();
+        let held = self.holding && whole.shifted(WHOLE_BITS).rounded() > 0;
+        let moves = (end.speed * Real::of(SLOWEST_TICKS)).fixed(0) > 0;
+        if moves && !held {
+            stretch.exit = Exit::Moving;
+        }
+        let mut steps = stretch.steps(timing);
+        if !moving {
+            self.make_room_for_turns(&mut steps, begin.ticks, axes);
+            for tail in &mut self.tails {
+                tail.at = begin.ticks;
+            }
+            stretch.begin = steps.begin();
+        }
+        stretch.end_ticks = steps.end().ticks;
+        if stretch.exit == Exit::Moving {
+            self.left = Some(Left {
+                speed: end.speed * line.stretch,
+                // Without a limit of jerk an acceleration ends at once.
+                accel: match line.law.jerk() {
+                    Some(_) => end.accel * line.stretch,
+                    None => Real::ZERO,
+                },
+                at: steps.end(),
+            });
+        }
+        let edges = (0..axes.len()).filter_map(|axis| steps.first_edge(axis));
+        let begun = Begun {
+            first_edge_ticks: edges.map(|(at, _)| at).min(),
+            end_ticks: stretch.end_ticks,
+            held: held.then(|| Split {
+                line: self.unshared(line),
+                from: State {
+                    place: path.end_steps(),
+                    ..State::REST
+                },
+                at: steps.end(),
+                base_steps,
+            }),
+        };
+        assert!(self.has_room(), "asked before");
+        self.stretches[self.count] = Some(stretch);
+        self.count += 1;
+        begun
+    }
+
+    fn share(&self) -> Real {
+        Real::of(u64::from(self.share)).shifted(-16)
+    }
+
+    /// Returns the line as it was asked for.
+    fn unshared(&self, mut line: Line) -> Line {
+        line.speed_max = line.speed_max / self.share();
+        line
+    }
+
+    /// Runs lines at this share of their speed, 2⁻¹⁶ (from 1), from the next one or the next
+    /// [`Planner::go_on`] on.
+    pub(crate) fn set_share(&mut self, share: u32) {
+        self.share = share.max(1);
+        self.ahead.clear();
+    }
+
+    /// Leaves everything that is not encoded. Returns from when on another plan can take effect,
+    /// ticks since boot; `started_at` is when the channels were started.
+    pub(crate) fn rewind(&mut self, axes: &mut [Axis], started_at: u64) -> u64 {
+        let mut cut = 0;
+        let mut least = u64::MAX;
+        let kept = self.tails.iter_mut().zip(&mut self.rewound);
+        for (axis, (tail, made)) in axes.iter_mut().zip(kept) {
+            let rewound = axis.rewind();
+            *tail = Tail {
+                low_ticks: rewound.low_ticks,
+                direction: rewound.direction,
+                at: started_at + rewound.encoded_ticks,
+                edge_at: None,
+            };
+            *made = Made {
+                at: tail.at,
+                booked_steps: axis.ledger().booked_steps(),
+            };
+            cut = cut.max(tail.at);
+            least = least.min(tail.at);
+        }
+        self.steps = None;
+        self.writing = self.stretches[..self.count]
+            .iter()
+            .flatten()
+            .take_while(|stretch| stretch.end_ticks <= least)
+            .count();
+        cut + CUT_MARGIN_TICKS
+    }
+
+    /// Returns the tick from which on a change in flight would take effect, and whether a ramp or a
+    /// line is under way then. All that is not encoded until then must be path, because nothing
+    /// else can be written again.
+    pub(crate) fn cut_ticks(&self, axes: &[Axis], started_at: u64) -> (u64, bool) {
+        let committed = axes.iter().map(Axis::committed_ticks);
+        let (mut least, mut most) = (u64::MAX, 0);
+        for ticks in committed {
+            least = least.min(started_at + ticks);
+            most = most.max(started_at + ticks);
+        }
+        let cut = most + CUT_MARGIN_TICKS;
+        let Some(mut index) = self.stretch_at(cut) else {
+            return (cut, false);
+        };
+        let at = |index: usize| self.stretches[index].expect("below the count");
+        while index > 0 && at(index - 1).end_ticks == at(index).begin.ticks {
+            index -= 1;
+        }
+        (cut, at(index).begin.ticks <= least)
+    }
+
+    /// Returns the way from `now` until rest if the path slowed down as soon as it can, steps of
+    /// its longest axis.
+    pub(crate) fn way_to_stop(&self, axes: &[Axis], started_at: u64, now: u64) -> Real {
+        let (cut, _) = self.cut_ticks(axes, started_at);
+        let place_at = |stretch: &Stretch, path: &Path, at: u64| {
+            let since = Real::of(at.saturating_sub(stretch.begin.ticks));
+            path.state_at(since).place
+        };
+        let Some(index) = self.stretch_at(cut) else {
+            return Real::ZERO;
+        };
+        let stretch = self.stretches[index].expect("below the count");
+        let path = stretch.path();
+        let mut slower = path;
+        slower.cut(Real::of(cut - stretch.begin.ticks));
+        slower.come_to_rest(&stretch.line.law);
+        slower.end_steps() - place_at(&stretch, &path, now)
+    }
+
+    /// Returns whether a change in flight would take effect within the last line that is planned.
+    pub(crate) fn is_last_under_way(&self, axes: &[Axis], started_at: u64) -> bool {
+        let (cut, on_path) = self.cut_ticks(axes, started_at);
+        on_path && self.stretch_at(cut) == self.count.checked_sub(1)
+    }
+
+    fn stretch_at(&self, ticks: u64) -> Option<usize> {
+        self.stretches[..self.count]
+            .iter()
+            .flatten()
+            .position(|stretch| stretch.begin.ticks <= ticks && ticks < stretch.end_ticks)
+    }
+
+    /// Ends the stretch that is under way at `cut`, drops those behind it, and gives its line to
+    /// go on with.
+    pub(crate) fn split(&mut self, cut: u64) -> Option<Split> {
+        let index = self.stretch_at(cut)?;
+        self.count = index + 1;
+        self.left = None;
+        self.ahead.clear();
+        let stretch = self.stretches[index].as_mut()?;
+        let since = Real::of(cut - stretch.begin.ticks) - stretch.begin.part;
+        let mut from = stretch.path().state_at(since);
+        if stretch.line.law.jerk().is_none() {
+            // Its acceleration may end at once.
+            from.accel = Real::ZERO;
+        }
+        stretch.until = Some(since);
+        stretch.exit = Exit::Moving;
+        stretch.end_ticks = cut;
+        let (line, base_steps) = (stretch.line, stretch.base_steps);
+        Some(Split {
+            line: self.unshared(line),
+            from,
+            at: Moment::of(cut),
+            base_steps,
+        })
+    }
+
+    /// Goes on after a split: comes to rest if it is held.
+    pub(crate) fn go_on(
+        &mut self,
+        split: Split,
+        behind: impl Iterator<Item = Line>,
+        axes: &[Axis],
+    ) -> Begun {
+        let Split {
+            line,
+            from,
+            at,
+            base_steps,
+        } = split;
+        let moving = !from.speed.is_none();
+        self.begin_at(line, from, behind, at, moving, base_steps, axes)
+    }
+
+    /// From now on every line comes to rest as soon as it can, or no longer.
+    pub(crate) fn hold(&mut self, holding: bool) {
+        self.holding = holding;
+        self.ahead.clear();
+    }
+
+    /// Delays the begin until every axis that turns has rested for long enough.
+    fn make_room_for_turns(&self, steps: &mut Steps, begin: u64, axes: &[Axis]) {
+        let mut missing_ticks = 0;
+        for (index, (axis, tail)) in axes.iter().zip(&self.tails).enumerate() {
+            let Some((edge, direction)) = steps.first_edge(index) else {
+                continue;
+            };
+            if tail.direction != Some(direction) {
+                let rest_ticks = tail.low_ticks.saturating_add(edge - begin);
+                let window_ticks = axis.timing().window_ticks();
+                missing_ticks = missing_ticks.max(window_ticks.saturating_sub(rest_ticks));
+            }
+        }
+        if missing_ticks > 0 {
+            steps.delay(missing_ticks.max(WORD_TICKS_MIN));
+        }
     }
 
     /// Writes the segments of a command on all axes and returns how long it takes, ticks.
@@ -112,7 +709,7 @@ impl Planner {
         for run in runs_of(command) {
             let axis = usize::from(run.axis.0);
             let tail = self.tails[axis];
-            if tail.direction != Some(Direction::of(run.steps)) {
+            if tail.direction != Some(Direction::of(i64::from(run.steps))) {
                 let missing = axes[axis]
                     .timing()
                     .window_ticks()
@@ -140,15 +737,15 @@ impl Planner {
                     ticks: window_ticks,
                 });
             }
-            let direction = Direction::of(run.steps);
+            let direction = Direction::of(i64::from(run.steps));
             if tail.direction != Some(direction) {
                 axis.push(Segment::Turn { direction });
                 tail.direction = Some(direction);
             }
-            axis.push(Segment::Steps {
-                step_count: run.steps.unsigned_abs(),
-                interval_ticks: run.interval_ticks,
-            });
+            axis.push(Segment::steady(
+                run.steps.unsigned_abs(),
+                run.interval_ticks,
+            ));
             let own_ticks = run.ticks().expect("within the command's ticks");
             tail.low_ticks = run.interval_ticks - axis.timing().high_of(run.interval_ticks);
             // Less than a word cannot be played alone; a command's axes differ by whole µs.

@@ -1,8 +1,12 @@
 //! What a motor driver demands of its step and direction inputs, and how its axis may stop.
 
-use crate::limits::{
-    HOLD_TICKS_MAX, LOW_WORD_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, SETUP_TICKS_MAX, TICK_HZ,
-    TURN_LATENCY_TICKS, WORD_TICKS_MIN,
+use crate::{
+    law::speed_from_hz,
+    limits::{
+        HOLD_TICKS_MAX, PART_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, SETUP_TICKS_MAX, TICK_HZ,
+        TURN_LATENCY_TICKS, WORD_TICKS_MIN,
+    },
+    real::Real,
 };
 
 /// One axis. Times are minima, in ns; they are rounded up to whole ticks of 62.5 ns.
@@ -19,8 +23,11 @@ pub struct AxisProfile {
     pub dir_setup_ns: u32,
     /// From the end of a step to a change of direction; at most 200 µs.
     pub dir_hold_ns: u32,
-    /// Deceleration of a controlled stop, steps/s², from 1.
+    /// Deceleration of a controlled stop of raw moves, steps/s², from 1. Ramps and lines slow down
+    /// by their own acceleration.
     pub stop_accel_hz_per_s: u32,
+    /// Most that the speed may jump at a corner of a path, Hz. 0: every corner is a stop.
+    pub junction_hz: u32,
 }
 
 impl Default for AxisProfile {
@@ -34,6 +41,7 @@ impl Default for AxisProfile {
             dir_setup_ns: 10_000,
             dir_hold_ns: 10_000,
             stop_accel_hz_per_s: 100_000,
+            junction_hz: 200,
         }
     }
 }
@@ -81,12 +89,14 @@ pub(crate) struct Timing {
     pub(crate) setup_ticks: u64,
     pub(crate) hold_ticks: u64,
     pub(crate) stop_accel_hz_per_s: u32,
+    /// Steps per tick.
+    pub(crate) junction_speed: Real,
 }
 
 impl From<AxisProfile> for Timing {
     fn from(profile: AxisProfile) -> Self {
         let ticks = |ns: u32| (u64::from(ns) * TICK_HZ).div_ceil(1_000_000_000);
-        let part = |ns: u32| ticks(ns).clamp(PART_TICKS_MIN, LOW_WORD_TICKS_MAX);
+        let part = |ns: u32| ticks(ns).clamp(PART_TICKS_MIN, PART_TICKS_MAX);
         let high_ticks_min = part(profile.high_ns_min);
         Self {
             high_ticks_min,
@@ -95,6 +105,7 @@ impl From<AxisProfile> for Timing {
             setup_ticks: ticks(profile.dir_setup_ns).clamp(1, SETUP_TICKS_MAX),
             hold_ticks: ticks(profile.dir_hold_ns).clamp(1, HOLD_TICKS_MAX),
             stop_accel_hz_per_s: profile.stop_accel_hz_per_s.max(1),
+            junction_speed: speed_from_hz(profile.junction_hz),
         }
     }
 }

@@ -10,12 +10,14 @@ use keys::{Command, command::COMMAND_WORDS};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
-/// Commands that were accepted and not yet planned, oldest first.
+/// Commands that were accepted and not yet executed, oldest first. Those at the front are planned;
+/// they keep their place, because a change in flight may take the plan back.
 #[derive(Debug)]
 pub struct CommandRing<'m> {
     words: &'m [AtomicU32],
     first: usize,
     count: usize,
+    planned: usize,
 }
 
 impl<'m> CommandRing<'m> {
@@ -32,6 +34,7 @@ impl<'m> CommandRing<'m> {
             words,
             first: 0,
             count: 0,
+            planned: 0,
         }
     }
 
@@ -45,9 +48,9 @@ impl<'m> CommandRing<'m> {
         self.capacity() - self.count
     }
 
-    /// Returns how many commands wait.
+    /// Returns how many commands wait to be planned.
     pub const fn count(&self) -> usize {
-        self.count
+        self.count - self.planned
     }
 
     /// Sets `count` places aside. Nothing is visible before [`Reservation::commit`].
@@ -76,30 +79,53 @@ impl<'m> CommandRing<'m> {
         Ok(reservation)
     }
 
-    /// Returns the oldest command without taking it.
+    /// Returns the oldest command that is not planned.
     ///
     /// # Panics
     /// Somebody else wrote to the memory.
     pub fn peek(&self) -> Option<Command> {
-        if self.count == 0 {
+        self.peek_at(0)
+    }
+
+    /// Returns the command that `index` others come before, which are not planned.
+    ///
+    /// # Panics
+    /// As [`CommandRing::peek`].
+    pub fn peek_at(&self, index: usize) -> Option<Command> {
+        let index = self.planned + index;
+        if index >= self.count {
             return None;
         }
-        let record = self.record(self.first);
+        let record = self.record((self.first + index) % self.capacity());
         let words = core::array::from_fn(|index| record[index].load(Ordering::Relaxed));
         Some(Command::from_words(&words).expect("only commands are pushed"))
     }
 
-    /// Drops the oldest command.
+    /// Marks the oldest command that is not planned as planned.
+    pub fn advance(&mut self) {
+        if self.planned < self.count {
+            self.planned += 1;
+        }
+    }
+
+    /// Takes back the last `count` times of [`CommandRing::advance`].
+    pub fn retract(&mut self, count: usize) {
+        self.planned = self.planned.saturating_sub(count);
+    }
+
+    /// Drops the oldest command: it is executed.
     pub fn pop(&mut self) {
         if self.count > 0 {
             self.first = (self.first + 1) % self.capacity();
             self.count -= 1;
+            self.planned = self.planned.saturating_sub(1);
         }
     }
 
     /// Drops all.
     pub fn clear(&mut self) {
         self.count = 0;
+        self.planned = 0;
     }
 
     fn record(&self, index: usize) -> &[AtomicU32] {

@@ -2,6 +2,10 @@
 
 use crate::limits::SEGMENTS_MAX;
 
+/// Fraction of a tick in a [`Segment`]: 2⁻²⁴, so that 10⁶ steps of rounded intervals add up to less
+/// than a thirtieth of a tick, and an interval may still be 19 hours.
+pub const FRACTION_BITS: u32 = 24;
+
 /// A level of the direction pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
@@ -13,7 +17,7 @@ pub enum Direction {
 
 impl Direction {
     /// Returns the direction of this many steps.
-    pub const fn of(steps: i32) -> Self {
+    pub const fn of(steps: i64) -> Self {
         if steps < 0 {
             Self::Negative
         } else {
@@ -33,13 +37,21 @@ impl Direction {
 /// A piece of one axis' timeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Segment {
-    /// Steps with active edges at 0, interval, 2 · interval, …; it ends one interval after the
-    /// last edge.
+    /// Steps whose intervals change by the same amount from one to the next: the edge of step x
+    /// (from 0) is due x · interval + x · (x − 1) / 2 · change + offset after the segment's begin,
+    /// rounded to a tick; the first one at its begin.
     Steps {
         /// How many, from 1.
         step_count: u32,
-        /// Time between active edges.
-        interval_ticks: u64,
+        /// What the first edge lies behind the segment's begin before rounding, [`FRACTION_BITS`]
+        /// of a tick, with sign.
+        offset: i32,
+        /// Time between the first two active edges, [`FRACTION_BITS`] of a tick.
+        interval: u64,
+        /// What each interval is longer than the one before, [`FRACTION_BITS`] of a tick.
+        change: i64,
+        /// From the first edge to the segment's end.
+        total_ticks: u64,
     },
     /// Nothing happens.
     Low {
@@ -51,6 +63,28 @@ pub enum Segment {
         /// From now on.
         direction: Direction,
     },
+}
+
+impl Segment {
+    /// Returns steps at equal intervals, the last one with its interval.
+    pub const fn steady(step_count: u32, interval_ticks: u64) -> Self {
+        Self::Steps {
+            step_count,
+            offset: 0,
+            interval: interval_ticks << FRACTION_BITS,
+            change: 0,
+            total_ticks: step_count as u64 * interval_ticks,
+        }
+    }
+
+    /// Returns how long it lasts, ticks.
+    pub const fn ticks(&self) -> u64 {
+        match *self {
+            Self::Steps { total_ticks, .. } => total_ticks,
+            Self::Low { ticks } => ticks,
+            Self::Turn { .. } => 0,
+        }
+    }
 }
 
 /// Segments that wait for the encoder: one producer (the planner), one consumer (the encoder).
@@ -102,6 +136,18 @@ impl SegmentRing {
         self.first = (self.first + 1) % SEGMENTS_MAX;
         self.count -= 1;
         Some(segment)
+    }
+
+    /// Returns the steps before the next rest or turn.
+    pub(crate) fn steps_ahead(&self) -> u64 {
+        (0..self.count)
+            .map_while(
+                |index| match self.segments[(self.first + index) % SEGMENTS_MAX] {
+                    Segment::Steps { step_count, .. } => Some(u64::from(step_count)),
+                    Segment::Low { .. } | Segment::Turn { .. } => None,
+                },
+            )
+            .sum()
     }
 
     pub(crate) fn clear(&mut self) {

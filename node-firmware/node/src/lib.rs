@@ -405,7 +405,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 MotionEvent::Laser { power_percent } => self.set_laser(power_percent),
                 MotionEvent::LidarRequest => self.outputs.request_lidar(),
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
-                MotionEvent::Rest => {}
+                MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded => {}
                 MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),
                 MotionEvent::BarrierMissed { command } => self.miss_barrier(command, now),
                 MotionEvent::Started {
@@ -415,6 +415,21 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 MotionEvent::Stopped => self.complete_stop(now),
                 MotionEvent::Fault(code) => {
                     self.note_fault(code, now);
+                    self.begin_stop(StopReason::Fault, StopMode::Halt, now);
+                }
+                MotionEvent::Miscount {
+                    axis,
+                    ledger_steps,
+                    counted_steps,
+                } => {
+                    self.note_fault(FaultCode::COUNT_MISMATCH, now);
+                    self.log(
+                        now,
+                        format_args!(
+                            "axis {}: {ledger_steps} steps in the ledger, {counted_steps} counted at the pin",
+                            axis.0
+                        ),
+                    );
                     self.begin_stop(StopReason::Fault, StopMode::Halt, now);
                 }
             }

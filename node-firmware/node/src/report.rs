@@ -23,6 +23,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             Some(StopReason::Fault) => NodeState::Fault,
             Some(_) => NodeState::Stopped,
             None if self.start != Start::Open => NodeState::Ready,
+            None if self.motion.is_paused() => NodeState::Paused,
             None if self.motion.is_active() => NodeState::Running,
             None => NodeState::Idle,
         }

@@ -1,0 +1,471 @@
+//! Changes in flight, at random instants: hold and resume, another speed, another target, a stop.
+//! Judged by what any motor would demand: every step in order, no speed and no acceleration beyond
+//! what was asked for, the position exact.
+
+mod bench;
+
+use bench::{Bench, config};
+use emulator::{pins::Pin, record::Life};
+use keys::{
+    AxisId, Command, LocalMicros, NodeState, StopMode,
+    command::{Ramp, RampShape},
+    status::FaultCode,
+};
+use motion::{Course, Direction, Motion, Target, Ticks};
+
+const X: AxisId = AxisId(0);
+const Y: AxisId = AxisId(1);
+const HZ: f64 = 16e6;
+
+const TRAPEZOID: RampShape = RampShape::Trapezoid {
+    linear_steps: 0,
+    jump_steps: 0,
+};
+
+type InnerMotion<'m> = Motion<'m, emulator::pulse::VirtualRmt>;
+
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ z >> 31) % bound
+    }
+
+    /// Small ones as often as large ones.
+    fn of_size(&mut self, bits: u64) -> u64 {
+        let size = self.below(bits) + 1;
+        1 + self.below(1 << size)
+    }
+}
+
+fn ramp(axis: AxisId, steps: i32, speed_hz: u32, accel_hz_per_s: u32, shape: RampShape) -> Command {
+    Command::Ramp {
+        axis,
+        steps,
+        ramp: Ramp {
+            speed_hz,
+            accel_hz_per_s,
+            shape,
+        },
+    }
+}
+
+impl Bench {
+    fn motion(&mut self) -> &mut InnerMotion<'static> {
+        self.node.node_mut().motion_mut()
+    }
+
+    fn hold(&mut self) {
+        let now = Ticks(self.now.0 * 16);
+        self.motion().hold(now);
+    }
+
+    fn position(&self, axis: AxisId) -> i64 {
+        self.node.status().axes[usize::from(axis.0)].position_steps
+    }
+
+    fn run_for(&mut self, us: u64) {
+        let at = self.now.0 + us;
+        self.run_until(at);
+    }
+}
+
+/// Times (s) and signs of an axis' steps.
+fn steps_of(life: &Life, axis: AxisId) -> Vec<(f64, i64)> {
+    let mut sign = -1;
+    let mut steps = Vec::new();
+    for event in &life.edges {
+        match event.pin {
+            Pin::Direction(of) if of == axis => sign = if event.level { 1 } else { -1 },
+            Pin::Step(of) if of == axis && event.level => {
+                steps.push((event.at_ticks as f64 / HZ, sign));
+            }
+            _ => {}
+        }
+    }
+    steps
+}
+
+/// Demands that no speed and no acceleration is greater; each edge may be a tick off. `jump` is
+/// allowed on top of a change of speed.
+fn keeps_limits(life: &Life, axis: AxisId, speed: f64, accel: f64, jump: f64, what: &str) {
+    let steps = steps_of(life, axis);
+    for run in steps.chunk_by(|a, b| a.1 == b.1) {
+        for window in [1, 2, 5, 20] {
+            let mut index = 0;
+            while index + 2 * window < run.len() {
+                let at = |offset: usize| run[index + offset].0;
+                let (first, second) = (at(window) - at(0), at(2 * window) - at(window));
+                let (slow, fast) = (window as f64 / first, window as f64 / second);
+                let error = 2.0 / HZ * (slow / first + fast / second);
+                assert!(
+                    fast <= speed + error + jump,
+                    "{what}: axis {} at {:.6} s: {fast} Hz of {speed}",
+                    axis.0,
+                    at(window)
+                );
+                let most = accel * (first + second) / 2.0 + error + jump;
+                assert!(
+                    (fast - slow).abs() <= most,
+                    "{what}: axis {} at {:.6} s: from {slow} to {fast} Hz, {} steps/s²",
+                    axis.0,
+                    at(window),
+                    (fast - slow) / (first + second) * 2.0
+                );
+                index += 1;
+            }
+        }
+    }
+}
+
+fn pins_are_right(bench: &Bench, what: &str) -> Life {
+    let life = bench.node.life();
+    for axis in [X, Y] {
+        let counted: i64 = steps_of(&life, axis).iter().map(|step| step.1).sum();
+        assert_eq!(bench.node.step_count(axis), counted, "{what}");
+        assert_eq!(bench.position(axis), counted, "{what}");
+    }
+    if let Err(violations) = emulator::oracle::check_pins(&life) {
+        panic!("{what}: {violations:?}");
+    }
+    life
+}
+
+#[test]
+fn a_stop_with_deceleration_ends_on_the_path_where_it_should() {
+    // 4000 Hz by 2000/s²: after 3 s at 8000 steps, then 2 s and 4000 steps, and what the hardware
+    // held when the stop came: at most 2 ms.
+    let mut bench = Bench::new(config());
+    bench.order([ramp(X, 32_000, 4_000, 2_000, TRAPEZOID)]);
+    bench.run_until(3_000_000);
+    bench.stop(StopMode::Decelerate);
+    bench.run_until(6_000_000);
+    assert_eq!(bench.node.status().state, NodeState::Stopped);
+    assert!(
+        (12_000..=12_008).contains(&bench.position(X)),
+        "{}",
+        bench.position(X)
+    );
+    let life = pins_are_right(&bench, "");
+    keeps_limits(&life, X, 4_000.0, 2_000.0, 0.0, "");
+    let last = steps_of(&life, X).last().expect("steps").0;
+    assert!((4.9..5.002).contains(&last), "{last}");
+}
+
+#[test]
+fn a_held_path_rests_on_the_path_and_goes_on_to_its_end() {
+    let mut bench = Bench::new(config());
+    let line = Command::Line {
+        steps: [800, 320, 0, 0],
+        speed_hz: 4_000,
+        accel_hz_per_s: 2_000,
+        jerk_hz_per_s2: 0,
+    };
+    bench.order([line; 40]);
+    bench.run_until(3_000_000);
+    bench.hold();
+    bench.run_until(6_000_000);
+    assert!(bench.motion().is_held());
+    assert_eq!(bench.node.status().state, NodeState::Paused);
+    let held = [bench.position(X), bench.position(Y)];
+    assert!((12_000..=12_008).contains(&held[0]), "{held:?}");
+    assert!(
+        (held[1] * 5 - held[0] * 2).abs() <= 5,
+        "off the path: {held:?}"
+    );
+    let executed = bench.node.status().executed_commands;
+    assert_eq!(executed, held[0] as u64 / 800);
+    bench.run_until(60_000_000);
+    assert_eq!(held, [bench.position(X), bench.position(Y)]);
+    bench.motion().resume();
+    bench.run_to_rest();
+    assert_eq!([bench.position(X), bench.position(Y)], [32_000, 12_800]);
+    let life = pins_are_right(&bench, "");
+    keeps_limits(&life, X, 4_000.0, 2_000.0, 0.0, "");
+    keeps_limits(&life, Y, 1_600.0, 800.0, 0.0, "");
+    assert!(bench.node.status().faults.is_empty());
+}
+
+#[test]
+fn another_target_and_another_speed_change_a_drive_in_flight() {
+    // Target 3000, at 500 steps another 1000: no dip in speed, 1.85 s in all.
+    let mut bench = Bench::new(config());
+    let course = Course::hz(2_500, 10_000);
+    bench
+        .motion()
+        .drive(X, Target::To(3_000), course)
+        .expect("free");
+    bench.run_until(325_000);
+    bench
+        .motion()
+        .drive(X, Target::By(1_000), course)
+        .expect("free");
+    bench.run_until(4_000_000);
+    assert_eq!(bench.position(X), 4_000);
+    let life = pins_are_right(&bench, "");
+    keeps_limits(&life, X, 2_500.0, 10_000.0, 0.0, "");
+    // The last half step takes 10 ms; the first one began with the lead-in.
+    let steps = steps_of(&life, X);
+    let total = steps[steps.len() - 1].0 - steps[0].0 + 0.02;
+    assert!((total - 1.85).abs() < 1e-6, "{total}");
+
+    // At 500 steps and 1000 Hz back to 0: it turns at 1000, but for what the hardware held.
+    let mut bench = Bench::new(config());
+    let course = Course::hz(2_500, 1_000);
+    bench
+        .motion()
+        .drive(X, Target::To(20_000), course)
+        .expect("free");
+    bench.run_until(1_000_000);
+    bench
+        .motion()
+        .drive(X, Target::To(0), course)
+        .expect("free");
+    bench.run_until(8_000_000);
+    assert_eq!(bench.position(X), 0);
+    let life = pins_are_right(&bench, "");
+    keeps_limits(&life, X, 2_500.0, 1_000.0, 0.0, "");
+    let forward = steps_of(&life, X).iter().filter(|step| step.1 > 0).count();
+    assert!((1_000..=1_004).contains(&forward), "{forward}");
+
+    // Forward for 40 s.
+    let mut bench = Bench::new(config());
+    let forever = Target::Forever(Direction::Positive);
+    bench
+        .motion()
+        .drive(X, forever, Course::hz(3_600, 320))
+        .expect("free");
+    bench.run_until(40_000_000);
+    assert_eq!(bench.position(X), 123_750);
+    // v²/2a, and what is made until then.
+    assert!((20_250..=20_260).contains(&bench.motion().steps_to_stop()));
+    bench.motion().end_drive(StopMode::Decelerate);
+    bench.run_until(60_000_000);
+    assert!(!bench.motion().is_driving());
+    assert!((144_000..=144_008).contains(&bench.position(X)));
+    pins_are_right(&bench, "");
+}
+
+#[test]
+fn a_change_takes_effect_within_two_milliseconds() {
+    for speed_hz in [10_u32, 300, 5_000, 100_000] {
+        let mut bench = Bench::new(config());
+        let course = Course::hz(speed_hz, 1_000_000);
+        let forever = Target::Forever(Direction::Positive);
+        bench.motion().drive(X, forever, course).expect("free");
+        bench.run_until(1_000_000);
+        let before = bench.position(X);
+        bench.motion().end_drive(StopMode::Decelerate);
+        bench.run_until(3_000_000);
+        let slowing = f64::from(speed_hz) * f64::from(speed_hz) / 2e6;
+        let made = (bench.position(X) - before) as f64;
+        let most = slowing + f64::from(speed_hz) * 0.002 + 2.0;
+        assert!(made <= most, "{speed_hz} Hz: {made} steps of {most}");
+    }
+}
+
+#[test]
+fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
+    for seed in 0..120 {
+        let mut random = Random(seed);
+        let speed_hz = 50 + random.of_size(14) as u32;
+        let accel = 100 + random.of_size(17) as u32;
+        let shape = match random.below(3) {
+            0 => RampShape::Jerk {
+                jerk_hz_per_s2: accel.saturating_mul(1 + random.below(50) as u32),
+            },
+            1 => RampShape::Trapezoid {
+                linear_steps: random.below(300) as u16,
+                jump_steps: 0,
+            },
+            _ => TRAPEZOID,
+        };
+        let what = format!("seed {seed}, {speed_hz} Hz, {accel}, {shape:?}");
+        let mut bench = Bench::new(config());
+        let mut end = [0_i64; 2];
+        let lines = random.below(2) == 0;
+        let commands: Vec<_> = (0..1 + random.below(20))
+            .map(|_| {
+                let mut way = || (random.of_size(9) as i32) - 200;
+                let steps = [way() | 1, way()];
+                if lines {
+                    end[0] += i64::from(steps[0]);
+                    end[1] += i64::from(steps[1]);
+                    return Command::Line {
+                        steps: [steps[0], steps[1], 0, 0],
+                        speed_hz,
+                        accel_hz_per_s: accel,
+                        jerk_hz_per_s2: match shape {
+                            RampShape::Jerk { jerk_hz_per_s2 } => jerk_hz_per_s2,
+                            RampShape::Trapezoid { .. } => 0,
+                        },
+                    };
+                }
+                end[0] += i64::from(steps[0]);
+                ramp(X, steps[0], speed_hz, accel, shape)
+            })
+            .collect();
+        bench.order(commands);
+        let mut stopped = false;
+        for _ in 0..random.below(6) {
+            bench.run_for(random.of_size(20));
+            let op = random.below(6);
+            match op {
+                0 | 1 => bench.hold(),
+                2 => bench.motion().resume(),
+                3 | 4 => {
+                    let percent = 5 + random.below(96) as u16;
+                    bench.motion().set_speed_percent(percent);
+                }
+                _ => {
+                    stopped = true;
+                    let halt = random.below(2) == 0;
+                    bench.stop(if halt {
+                        StopMode::Halt
+                    } else {
+                        StopMode::Decelerate
+                    });
+                    break;
+                }
+            }
+        }
+        bench.motion().set_speed_percent(100);
+        bench.motion().resume();
+        if stopped {
+            bench.run_for(20_000_000);
+            assert_eq!(bench.node.status().state, NodeState::Stopped, "{what}");
+        } else {
+            bench.run_to_rest();
+            assert_eq!([bench.position(X), bench.position(Y)], end, "{what}");
+        }
+        let life = pins_are_right(&bench, &what);
+        // Corners may jump; an S-curve that is changed in flight first ends its acceleration.
+        let jump = if lines { 200.0 } else { 0.0 };
+        for axis in [X, Y] {
+            keeps_limits(
+                &life,
+                axis,
+                f64::from(speed_hz),
+                f64::from(accel),
+                jump,
+                &what,
+            );
+        }
+        assert!(bench.node.status().faults.is_empty(), "{what}");
+    }
+}
+
+#[test]
+fn random_drives_with_random_changes_end_where_they_were_sent_last() {
+    for seed in 0..120 {
+        let mut random = Random(seed ^ 0xd1ce);
+        let accel_max = 200 + random.of_size(17) as u32;
+        let speed_max = 50 + random.of_size(14) as u32;
+        let what = format!("seed {seed}, {speed_max} Hz, {accel_max}");
+        let mut bench = Bench::new(config());
+        let mut target = 0_i64;
+        for _ in 0..1 + random.below(8) {
+            let speed_hz = 1 + random.below(u64::from(speed_max)) as u32;
+            let accel = 100 + random.below(u64::from(accel_max) - 99) as u32;
+            let mut course = Course::hz(speed_hz, accel);
+            if random.below(2) == 0 {
+                course = course.shaped(RampShape::Jerk {
+                    jerk_hz_per_s2: accel.saturating_mul(1 + random.below(50) as u32),
+                });
+            }
+            target = random.of_size(12) as i64 - 2_000;
+            let status = bench.node.status();
+            bench
+                .motion()
+                .drive(X, Target::To(target), course)
+                .unwrap_or_else(|error| panic!("{what}: {error} {status:?}"));
+            bench.run_for(random.of_size(20));
+        }
+        bench
+            .motion()
+            .drive(X, Target::To(target), Course::hz(speed_max, accel_max))
+            .expect("free");
+        let mut waits = 0;
+        while bench.motion().is_driving() {
+            bench.run_for(100_000);
+            waits += 1;
+            assert!(waits < 10_000, "{what}: it never ends");
+        }
+        assert_eq!(bench.position(X), target, "{what}");
+        let life = pins_are_right(&bench, &what);
+        let (speed, accel) = (f64::from(speed_max), f64::from(accel_max));
+        keeps_limits(&life, X, speed, accel, 0.0, &what);
+    }
+}
+
+#[test]
+fn a_planner_that_is_held_up_for_15_ms_changes_nothing() {
+    let run = |plan_ticks_max: u64| {
+        let mut config = config();
+        config.rmt.plan_ticks_max = plan_ticks_max;
+        let mut bench = Bench::new(config);
+        let ramped = ramp(X, -30_000, 40_000, 100_000, TRAPEZOID);
+        let line = Command::Line {
+            steps: [500, 400, 0, 0],
+            speed_hz: 20_000,
+            accel_hz_per_s: 50_000,
+            jerk_hz_per_s2: 0,
+        };
+        bench.order([ramped].into_iter().chain([line; 50]));
+        bench.run_to_rest();
+        let life = bench.judged();
+        [steps_of(&life, X), steps_of(&life, Y)]
+    };
+    assert!(run(0) == run(15_000 * 16));
+}
+
+#[test]
+fn a_planner_that_comes_too_late_is_a_fault_and_costs_no_step() {
+    let mut config = config();
+    config.rmt.plan_ticks_max = 10_000_000 * 16;
+    let mut bench = Bench::new(config);
+    // So slow a ramp needs more segments than the ring holds.
+    bench.order([ramp(X, 1_000_000, 20_000, 100, TRAPEZOID)]);
+    bench.run_until(300_000_000);
+    let status = bench.node.status();
+    assert_eq!(status.state, NodeState::Fault);
+    assert_eq!(
+        status.faults.last().map(|fault| fault.code),
+        Some(FaultCode::PLAN_LATE)
+    );
+    let made = bench.position(X);
+    assert!(made > 0);
+    pins_are_right(&bench, "");
+    // Nothing goes on by itself.
+    bench.run_until(400_000_000);
+    assert_eq!(bench.position(X), made);
+}
+
+#[test]
+fn a_ledger_and_a_counter_that_disagree_are_a_fault_that_names_both() {
+    let mut bench = Bench::new(config());
+    bench.order([ramp(X, 1_000, 5_000, 20_000, TRAPEZOID)]);
+    bench.run_until(50_000);
+    bench.motion().backend_mut().disturb_counter(X, -1);
+    let mut lines = Vec::new();
+    for ms in 50..1_000 {
+        let now = LocalMicros(ms * 1_000);
+        bench.node.poll(now);
+        let told = bench.node.outbox(now);
+        lines.extend(
+            told.iter()
+                .map(|out| String::from_utf8_lossy(&out.payload).into_owned()),
+        );
+    }
+    let status = bench.node.status();
+    assert_eq!(status.state, NodeState::Fault);
+    let code = status.faults.last().map(|fault| fault.code);
+    assert_eq!(code, Some(FaultCode::COUNT_MISMATCH));
+    assert_eq!(status.axes[0].position_steps, 1_000);
+    let told = "axis 0: 1000 steps in the ledger, 999 counted at the pin";
+    assert!(lines.iter().any(|line| line.contains(told)), "{lines:?}");
+}

@@ -1,0 +1,167 @@
+//! FastAccelStepper, the library that most ESP32 machines with steppers use, call by call: what does
+//! the same here, what is better, and what is missing.
+//!
+//! Its names are those of version 1.2.7. "No counterpart" means that nothing here does it; "pure
+//! machine" means that the logic is here and tested, and that no back end drives pins by it yet.
+//! What surrounds this crate (messages, groups of nodes, the gateway) is not compared.
+//!
+//! # The engine
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `init(cpu_core)` | [`Motion::new`] | no task of its own: whoever owns it calls [`Motion::poll`] at [`Motion::poll_timeout`]; a late call delays events, never pulses |
+//! | `stepperConnectToPin(pin, driver)` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
+//! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `i2sMuxSetBit` |
+//! | `task_rate(ms)`, a stop if it is longer than what is planned | [`Axis::wants_planning`], [`limits::LOW_WATER_TICKS`] | the pulses ask for planning; a planner that is too late is a fault with a name, not a silent stop |
+//! | `setExternalCallForPin`, pins ≥ 128 | [`io::shift::ShiftPins`] | pure machine; confirmed by the level read back, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
+//! | `setDebugLed` | no counterpart | |
+//! | `detachFromPin`, `reAttachToPin` | no counterpart | |
+//!
+//! # Pins of one stepper
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. Missing: the polarity (high always counts up) |
+//! | `setEnablePin`, two pins, low- and high-active; shared pins | [`io::enable::EnableConfig`] | pure machine; shared by any set of axes |
+//! | `enableOutputs`, `disableOutputs` (false while it runs) | [`io::enable::Enables::enable`], [`io::enable::Enables::disable`] | pure machine; the refusal is an error |
+//! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`io::enable::Enables::wants_motion`], [`io::enable::Enables::rests`] | pure machine; the delays are instants to the tick |
+//! | a step's high time is half its interval, 2 ms at most | [`AxisProfile::high_ns`], [`AxisProfile::high_ns_min`], [`AxisProfile::low_ns_min`] | minima of the driver, with profiles such as [`AxisProfile::drv8825`] |
+//!
+//! # Position and speed
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `getCurrentPosition`, i32; on RMT off by the steps of the command under way, up to 255 | [`Motion::position_steps`], i64 | exact at every instant, also after a stop of any kind: see [`ledger`] |
+//! | `setCurrentPosition`, advised only at rest | [`Command::SetPosition`] | a command in its place in the queue, exact while moving; none for a drive under way |
+//! | `getPositionAfterCommandsCompleted`, `targetPos` | no counterpart | whoever feeds the queue adds up what it feeds |
+//! | `setPositionAfterCommandsCompleted` | [`Command::SetPosition`] | takes effect when the commands before have ended |
+//! | `isRunning` | [`Motion::is_active`], [`Motion::is_driving`] | and events that tell it: [`MotionEvent::Rest`], [`MotionEvent::DriveEnded`] |
+//! | `getMaxSpeedInUs` … `InMilliHz` | [`AxisProfile::high_ns_min`], [`CommandError::TooFast`] | no call: the refusal names the shortest interval. The limit is the driver's (there 200 kHz); what a core can keep up with is counted by the bench `instructions` |
+//! | `setAbsoluteSpeedLimit` (untested, no check) | [`AxisProfile`] | checked |
+//! | `setSpeedInUs`, `InTicks`, `InHz`, `InMilliHz`; −1 if out of range | [`Course::interval_us`], [`Course::interval_ticks`], [`Course::hz`], [`Course::mhz`]; in the queue Hz | part of the order, so no setting is left over from before; no lower bound of speed |
+//! | `getSpeedIn…` | no counterpart | the order says it |
+//! | `getCurrentSpeedInUs`, `InMilliHz(realtime)` | [`Motion::speed_mhz`] | that of what was encoded last, at most two half blocks ahead |
+//! | `setAcceleration`, `getAcceleration` | [`Course::hz`], [`Ramp`] | part of the order |
+//! | `getCurrentAcceleration` | no counterpart | |
+//! | `setLinearAcceleration(steps)` | [`RampShape::Trapezoid`], `linear_steps` | the same law at both ends, in closed form; also in flight |
+//! | `setJumpStart(step)` | [`RampShape::Trapezoid`], `jump_steps` | the same law |
+//! | nothing | [`RampShape::Jerk`] | S-curves with seven phases, also in flight |
+//!
+//! # Moves
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `move(n)`, relative to the target of a move under way | [`Motion::drive`] with [`Target::By`], [`Command::Ramp`] | likewise; in the queue relative to the command before |
+//! | `moveTo(position)`; a new target behind it is silently ignored, far ones wrap around | [`Motion::drive`] with [`Target::To`], [`Command::RampTo`] | turns and comes back; i64 |
+//! | `blocking` | [`MotionEvent::DriveEnded`] | nothing blocks |
+//! | `MOVE_OK`, `NO_DIRECTION_PIN`, `SPEED_UNDEFINED`, `ACCELERATION_UNDEFINED` | [`DriveError`], [`CommandError`] | undefined cannot be said |
+//! | `applySpeedAcceleration` | [`Motion::drive`] with [`Target::By`] of 0 | within 2 ms; there behind what is planned, 20 ms |
+//! | `keepRunning`, `runForward`, `runBackward` | [`Target::Forever`] | |
+//! | `forwardStep`, `backwardStep`, only when idle | [`Target::By`] of ±1, [`Command::Move`] | |
+//! | `moveByAcceleration(a, allow_reverse)` | [`Target::Forever`] with another [`Course`]; [`Motion::end_drive`] | another sign turns it. Missing: an acceleration of 0, which keeps the present speed |
+//! | `stopMove` | [`Motion::end_drive`] or [`Motion::stop`] with [`StopMode::Decelerate`] | on its path, begins within 2 ms. May not be called from an interrupt: a stop input is a message to the owner |
+//! | `stepsToStop` | [`Motion::steps_to_stop`] | exact: includes what the hardware holds, and knows S-curves |
+//! | `forceStop`, within 20 ms | [`Motion::stop`] with [`StopMode::Halt`] | at once, at the end of the high time; the position is exact. Not from an interrupt either |
+//! | `forceStopAndNewPosition`, the position is lost | [`Motion::stop`], then [`Command::SetPosition`] if wanted | the position is never lost |
+//! | `rampState`, `isRampGeneratorActive` | [`Motion::speed_mhz`], [`Motion::is_driving`] | no counterpart of its bits: accelerating, coasting, decelerating, reversing |
+//! | `isStopping`, `isRunningContinuously` | no counterpart | |
+//! | nothing | [`Motion::hold`], [`Motion::resume`], [`Motion::set_speed_percent`] | on the path of ramps and lines |
+//! | nothing; steppers do not know each other | [`Command::Line`], [`lookahead`] | straight lines on four axes, joined at speed |
+//! | each stepper moves by itself, with its own target and ramp, while others do | no counterpart | one timeline for all axes: a second axis is [`DriveError::Busy`] while one is driven. Two axes with raw moves: [`Command::SyncMove`] |
+//!
+//! # The queue
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `setForwardPlanningTimeInMs`, 20 ms | none needed | a change takes effect behind what the hardware holds, 2 ms at most |
+//! | `moveTimed(steps, duration, &actual, start)` | [`Command::Move`], [`Command::Pause`] | the interval is given and kept, so the duration is exact. Missing: steps of a duration that no whole µs divides |
+//! | `addQueueEntry({ticks, steps, count_up}, start)` | [`Motion::reserve`] | all of a batch or nothing. Intervals in µs instead of ticks. No least duration of 200 µs, no most of 255 steps or 65,535 ticks |
+//! | 32 entries | [`CommandRing`] | as many as its memory holds; 4096 on the board |
+//! | `AQE_…` results, to be retried | [`Full`], [`CommandError`] | busy pins are no error: the planner makes the time |
+//! | `steps = 0` is a pause | [`Command::Pause`] | |
+//! | edges at 0, t, 2t, then t of rest | [`Command::Move`] | the same |
+//! | `addQueueEntry(NULL, true)` on each stepper, nearly at one time | [`Command::Barrier`], [`Motion::release_barrier`] | at an instant that is given, ±3 ticks between the axes, and told by [`MotionEvent::Started`]; axes then never drift apart |
+//! | a pause before the first step of another direction | the same, only what is missing of the time that the steps leave anyway | at most 90 µs by the default profile |
+//! | `isQueueEmpty`, `isQueueFull`, `isQueueRunning`, `queueEntries` | [`Motion::credit_commands`], [`Motion::accepted_commands`], [`Motion::executed_commands`], [`Motion::is_active`] | |
+//! | `ticksInQueue`, `hasTicksInQueue` | no counterpart | to run dry is told: [`MotionEvent::Underrun`] |
+//! | `getPeriodIn…AfterCommandsCompleted` | no counterpart | |
+//!
+//! # The pulse counter
+//!
+//! | FastAccelStepper | here | difference |
+//! |---|---|---|
+//! | `attachToPulseCounter`, `readPulseCounter`, `clearPulseCounter`, `dir_pin_readback` | [`StepBackend::counted_steps`] | its count checks the ledger whenever the axes rest ([`MotionEvent::Miscount`]). No counter for the user: the position is exact already |
+//! | counts modulo a revolution | no counterpart | the remainder of [`Motion::position_steps`] is that |
+//!
+//! [`Command::Barrier`]: keys::Command::Barrier
+//! [`Command::Line`]: keys::Command::Line
+//! [`Command::Move`]: keys::Command::Move
+//! [`Command::Pause`]: keys::Command::Pause
+//! [`Command::Ramp`]: keys::Command::Ramp
+//! [`Command::RampTo`]: keys::Command::RampTo
+//! [`Command::SetPosition`]: keys::Command::SetPosition
+//! [`Command::SyncMove`]: keys::Command::SyncMove
+//! [`Ramp`]: keys::command::Ramp
+//! [`RampShape::Jerk`]: keys::command::RampShape::Jerk
+//! [`RampShape::Trapezoid`]: keys::command::RampShape::Trapezoid
+//! [`StopMode::Decelerate`]: keys::StopMode::Decelerate
+//! [`StopMode::Halt`]: keys::StopMode::Halt
+//! [`Axis::wants_planning`]: crate::Axis::wants_planning
+//! [`AxisProfile`]: crate::AxisProfile
+//! [`AxisProfile::dir_hold_ns`]: crate::AxisProfile::dir_hold_ns
+//! [`AxisProfile::dir_setup_ns`]: crate::AxisProfile::dir_setup_ns
+//! [`AxisProfile::drv8825`]: crate::AxisProfile::drv8825
+//! [`AxisProfile::high_ns`]: crate::AxisProfile::high_ns
+//! [`AxisProfile::high_ns_min`]: crate::AxisProfile::high_ns_min
+//! [`AxisProfile::low_ns_min`]: crate::AxisProfile::low_ns_min
+//! [`CHANNELS`]: crate::limits::CHANNELS
+//! [`CommandError`]: crate::CommandError
+//! [`CommandError::TooFast`]: crate::CommandError::TooFast
+//! [`CommandRing`]: crate::CommandRing
+//! [`Course`]: crate::Course
+//! [`Course::hz`]: crate::Course::hz
+//! [`Course::interval_ticks`]: crate::Course::interval_ticks
+//! [`Course::interval_us`]: crate::Course::interval_us
+//! [`Course::mhz`]: crate::Course::mhz
+//! [`DriveError`]: crate::DriveError
+//! [`DriveError::Busy`]: crate::DriveError::Busy
+//! [`Full`]: crate::Full
+//! [`Motion::accepted_commands`]: crate::Motion::accepted_commands
+//! [`Motion::credit_commands`]: crate::Motion::credit_commands
+//! [`Motion::drive`]: crate::Motion::drive
+//! [`Motion::end_drive`]: crate::Motion::end_drive
+//! [`Motion::executed_commands`]: crate::Motion::executed_commands
+//! [`Motion::hold`]: crate::Motion::hold
+//! [`Motion::is_active`]: crate::Motion::is_active
+//! [`Motion::is_driving`]: crate::Motion::is_driving
+//! [`Motion::new`]: crate::Motion::new
+//! [`Motion::poll`]: crate::Motion::poll
+//! [`Motion::poll_timeout`]: crate::Motion::poll_timeout
+//! [`Motion::position_steps`]: crate::Motion::position_steps
+//! [`Motion::release_barrier`]: crate::Motion::release_barrier
+//! [`Motion::reserve`]: crate::Motion::reserve
+//! [`Motion::resume`]: crate::Motion::resume
+//! [`Motion::set_speed_percent`]: crate::Motion::set_speed_percent
+//! [`Motion::speed_mhz`]: crate::Motion::speed_mhz
+//! [`Motion::steps_to_stop`]: crate::Motion::steps_to_stop
+//! [`Motion::stop`]: crate::Motion::stop
+//! [`MotionConfig::axis_count`]: crate::MotionConfig::axis_count
+//! [`MotionEvent::DriveEnded`]: crate::MotionEvent::DriveEnded
+//! [`MotionEvent::Miscount`]: crate::MotionEvent::Miscount
+//! [`MotionEvent::Rest`]: crate::MotionEvent::Rest
+//! [`MotionEvent::Started`]: crate::MotionEvent::Started
+//! [`MotionEvent::Underrun`]: crate::MotionEvent::Underrun
+//! [`StepBackend`]: crate::StepBackend
+//! [`StepBackend::counted_steps`]: crate::StepBackend::counted_steps
+//! [`Target::By`]: crate::Target::By
+//! [`Target::Forever`]: crate::Target::Forever
+//! [`Target::To`]: crate::Target::To
+//! [`io::enable::EnableConfig`]: crate::io::enable::EnableConfig
+//! [`io::enable::Enables::disable`]: crate::io::enable::Enables::disable
+//! [`io::enable::Enables::enable`]: crate::io::enable::Enables::enable
+//! [`io::enable::Enables::rests`]: crate::io::enable::Enables::rests
+//! [`io::enable::Enables::wants_motion`]: crate::io::enable::Enables::wants_motion
+//! [`io::shift::ShiftPins`]: crate::io::shift::ShiftPins
+//! [`ledger`]: crate::ledger
+//! [`limits::LOW_WATER_TICKS`]: crate::limits::LOW_WATER_TICKS
+//! [`lookahead`]: crate::lookahead

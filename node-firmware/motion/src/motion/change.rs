@@ -1,0 +1,187 @@
+//! Changes in flight: hold, resume, another speed. What is planned behind what the hardware holds is
+//! taken back, and the path goes on from there under what has changed.
+
+use super::{
+    Hold, Motion, Phase, lines_of,
+    marks::{Mark, What},
+};
+use keys::Command;
+
+use crate::{
+    Axis, StepBackend, Ticks,
+    planner::{Begun, Split},
+};
+
+/// Most that [`Motion::set_speed_percent`] takes.
+const SPEED_PERCENT_MAX: u16 = 400;
+
+impl<B: StepBackend> Motion<'_, B> {
+    /// Takes back what is planned behind what the hardware holds and goes on from there with the
+    /// same line, under what has changed. Returns when the line ends now, `None` if no ramp or line
+    /// is under way: then nothing has happened.
+    pub(super) fn change_path(&mut self) -> Option<Begun> {
+        let Phase::Playing { .. } = self.phase else {
+            return None;
+        };
+        let axes = &mut self.backend.axes()[..self.axis_count];
+        let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
+        if !on_path || axes.iter().any(Axis::has_ended) {
+            return None;
+        }
+        self.planner.rewind(axes, self.started_at.0);
+        let split = self.planner.split(cut)?;
+        let mut taken_back = 0_usize;
+        let mut own = None;
+        while let Some(what) = self.marks.take_back(Ticks(cut)) {
+            taken_back += 1;
+            own = Some(what);
+            self.undo_steps(what);
+        }
+        // The first of them is the line itself.
+        self.ring.retract(taken_back.saturating_sub(1));
+        self.planner.set_share(self.share);
+        Some(self.go_on(split, own))
+    }
+
+    /// Goes on with a line that was left; `own` is its mark, a drive has none.
+    pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
+        let ring = &self.ring;
+        let behind = lines_of((0..).map_while(|index| ring.peek_at(index)));
+        let axes = &self.backend.axes()[..self.axis_count];
+        let begun = self.planner.go_on(split, behind, axes);
+        if let Some(What::Path(steps)) = own {
+            for (planned, steps) in self.planned_steps.iter_mut().zip(steps) {
+                *planned += steps;
+            }
+        }
+        self.note_path(&begun, own);
+        begun
+    }
+
+    /// Notes when a line ends, if it is known.
+    pub(super) fn note_path(&mut self, begun: &Begun, what: Option<What>) {
+        let mut end = Ticks(begun.end_ticks);
+        self.phase = Phase::Playing { timeline: end };
+        if let Some(split) = begun.held {
+            self.hold = Hold::At(split);
+            end = Ticks(u64::MAX);
+        }
+        if let Some(what) = what {
+            self.marks.push(Mark { end, what });
+        }
+    }
+
+    /// Slows down on the path and rests; [`MotionEvent::Held`](crate::MotionEvent::Held) tells when. What is no ramp and no
+    /// line has no path to slow down on: commands of that kind that are planned already are made.
+    pub fn hold(&mut self, now: Ticks) {
+        if self.is_stopping() {
+            return;
+        }
+        match self.hold {
+            Hold::Slowing | Hold::At(_) => return,
+            Hold::Resuming(split) => self.hold = Hold::At(split),
+            Hold::None => self.hold = Hold::Slowing,
+        }
+        self.planner.hold(true);
+        if now >= self.now {
+            self.change_soon();
+        }
+    }
+
+    /// Changes the path as soon as that is possible: raw commands that are not yet encoded are made
+    /// first.
+    fn change_soon(&mut self) {
+        self.change_due = self.change_path().is_none();
+    }
+
+    /// Makes a change that could not be made at once.
+    pub(super) fn pass_change(&mut self) {
+        let playing = matches!(self.phase, Phase::Playing { .. });
+        if self.change_due && (!playing || self.change_path().is_some()) {
+            self.change_due = false;
+        }
+    }
+
+    /// Goes on where [`Motion::hold`] has left off. Nothing happens if it is not held.
+    pub fn resume(&mut self) {
+        if self.is_stopping() {
+            return;
+        }
+        self.planner.hold(false);
+        match self.hold {
+            Hold::At(split) => {
+                self.hold = Hold::None;
+                if self.change_path().is_none() {
+                    self.hold = Hold::Resuming(split);
+                }
+            }
+            Hold::Slowing => {
+                self.hold = Hold::None;
+                self.change_soon();
+            }
+            Hold::None | Hold::Resuming(_) => {}
+        }
+    }
+
+    /// More of the path has arrived while its last line was planned to end at rest: it goes on.
+    pub(super) fn extend_path(&mut self) {
+        let Phase::Playing { timeline } = self.phase else {
+            return;
+        };
+        let more = self.extended_commands != self.accepted_commands;
+        let line_follows = matches!(self.ring.peek(), Some(Command::Line { .. }));
+        if !more || !line_follows || self.is_held() || !self.planner.ends_early(timeline.0) {
+            return;
+        }
+        // Only if the last line is the one under way: another one has not begun yet, and is seen
+        // again.
+        if self
+            .planner
+            .is_last_under_way(&self.backend.axes()[..self.axis_count], self.started_at.0)
+        {
+            self.extended_commands = self.accepted_commands;
+            self.change_path();
+        }
+    }
+
+    /// Returns whether motion is held or about to be.
+    pub fn is_held(&self) -> bool {
+        matches!(self.hold, Hold::Slowing | Hold::At(_))
+    }
+
+    /// Returns whether motion is held and rests.
+    pub fn is_paused(&self) -> bool {
+        self.is_held() && self.phase == Phase::Rest
+    }
+
+    /// Runs ramps and lines at this share of their speed from now on, also the one under way:
+    /// 1 to 400 percent, but never faster than the drivers allow.
+    pub fn set_speed_percent(&mut self, percent: u16) {
+        let percent = u32::from(percent.clamp(1, SPEED_PERCENT_MAX));
+        if self.is_stopping() {
+            return;
+        }
+        self.share = (percent << 16) / 100;
+        self.change_soon();
+        self.planner.set_share(self.share);
+    }
+
+    pub(super) fn undo_steps(&mut self, what: What) {
+        match what {
+            What::Moves(runs) => {
+                for run in runs.into_iter().flatten() {
+                    self.planned_steps[usize::from(run.axis.0)] -= i64::from(run.steps);
+                }
+            }
+            What::Path(steps) => {
+                for (planned, steps) in self.planned_steps.iter_mut().zip(steps) {
+                    *planned -= steps;
+                }
+            }
+            What::Origin {
+                axis, before_steps, ..
+            } => self.planned_origins_steps[usize::from(axis.0)] = before_steps,
+            What::Rest | What::Laser { .. } | What::Lidar => {}
+        }
+    }
+}

@@ -1,0 +1,389 @@
+//! [`Path`]: where a move is at every instant, and when it passes a place. The ideal, without
+//! steps: place and time are [`Real`].
+//!
+//! ```text
+//!  speed ▲      ┌───────────┐          phases forward: from their begin, where the speed is low
+//!        │    ╱ │   coast   │ ╲        phases backward: from their end, likewise
+//!        │  ╱   │           │   ╲
+//!        └─┴────┴───────────┴─────┴──▶ time
+//! ```
+//!
+//! Each phase counts from the end where it is slow, so that no time is the difference of two large
+//! numbers: the last edge before rest is as exact as the first one after it.
+
+use crate::{
+    law::{Law, Piece},
+    real::Real,
+};
+
+/// Most phases: a change of acceleration, a slower speed (3), up (3), coast, down (3).
+const PHASES_MAX: usize = 12;
+
+/// A stretch of a path with constant jerk.
+#[derive(Clone, Copy, Debug)]
+struct Phase {
+    /// End of the phase, ticks from the path's begin.
+    end_ticks: Real,
+    /// Place at its end, steps.
+    end_steps: Real,
+    /// The time and place from which `piece` counts.
+    anchor_ticks: Real,
+    anchor_steps: Real,
+    /// It counts from its end, against time.
+    backward: bool,
+    piece: Piece,
+}
+
+impl Phase {
+    fn ticks_at(&self, place: Real) -> Real {
+        if self.backward {
+            self.anchor_ticks - self.piece.ticks_at(self.anchor_steps - place)
+        } else {
+            self.anchor_ticks + self.piece.ticks_at(place - self.anchor_steps)
+        }
+    }
+
+    fn state_at(&self, ticks: Real) -> State {
+        let since = if self.backward {
+            self.anchor_ticks - ticks
+        } else {
+            ticks - self.anchor_ticks
+        };
+        let way = self.piece.way_at(since);
+        let speed = self.piece.speed_at(since).max(Real::ZERO);
+        let accel = self.piece.accel + self.piece.jerk * since;
+        if self.backward {
+            State {
+                place: self.anchor_steps - way,
+                speed,
+                accel: -accel,
+            }
+        } else {
+            State {
+                place: self.anchor_steps + way,
+                speed,
+                accel,
+            }
+        }
+    }
+}
+
+/// Where a move is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct State {
+    /// Place, steps along the move.
+    pub place: Real,
+    /// Speed, steps per tick, never negative.
+    pub speed: Real,
+    /// Acceleration, steps per tick².
+    pub accel: Real,
+}
+
+impl State {
+    /// At rest at the begin.
+    pub const REST: Self = Self {
+        place: Real::ZERO,
+        speed: Real::ZERO,
+        accel: Real::ZERO,
+    };
+}
+
+/// The way is too short to slow down as asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooShort;
+
+/// A motion along one coordinate.
+#[derive(Clone, Copy, Debug)]
+pub struct Path {
+    begin: State,
+    phases: [Phase; PHASES_MAX],
+    count: usize,
+}
+
+impl Path {
+    /// A path that has not begun.
+    pub fn at(begin: State) -> Self {
+        let none = Phase {
+            end_ticks: Real::ZERO,
+            end_steps: begin.place,
+            anchor_ticks: Real::ZERO,
+            anchor_steps: begin.place,
+            backward: false,
+            piece: Piece {
+                ticks: Real::ZERO,
+                speed: Real::ZERO,
+                accel: Real::ZERO,
+                jerk: Real::ZERO,
+            },
+        };
+        Self {
+            begin,
+            phases: [none; PHASES_MAX],
+            count: 0,
+        }
+    }
+
+    /// Plans the fastest motion to the place `to_place`, with `to_speed` there.
+    ///
+    /// # Errors
+    /// [`TooShort`]: it would be passed faster than that.
+    pub fn plan(
+        begin: State,
+        to_place: Real,
+        to_speed: Real,
+        speed_max: Real,
+        law: &Law,
+    ) -> Result<Self, TooShort> {
+        let mut path = Self::at(begin);
+        path.go_on(to_place, to_speed, speed_max, law)?;
+        Ok(path)
+    }
+
+    /// Goes on to `to_place` from where the path ends so far.
+    ///
+    /// # Errors
+    /// [`TooShort`], as [`Path::plan`]; nothing is changed.
+    pub fn go_on(
+        &mut self,
+        to_place: Real,
+        to_speed: Real,
+        speed_max: Real,
+        law: &Law,
+    ) -> Result<(), TooShort> {
+        self.go_on_below(to_place, to_speed, speed_max, law)
+            .or_else(|TooShort| {
+                // An S-curve needs more way to slow down in two parts, to the new speed and then to
+                // the end, than in one.
+                let speed = self.end_state().speed;
+                self.go_on_below(to_place, to_speed, speed_max.max(speed), law)
+            })
+            .or_else(|TooShort| self.go_on_below(to_place, to_speed, self.level_speed(law), law))
+    }
+
+    fn go_on_below(
+        &mut self,
+        to_place: Real,
+        to_speed: Real,
+        speed_max: Real,
+        law: &Law,
+    ) -> Result<(), TooShort> {
+        let mut path = *self;
+        let mut speed = path.level_out(law);
+        if speed > speed_max {
+            path.fall(speed, speed_max, law);
+            speed = speed_max;
+        }
+        let way = to_place - path.end_steps();
+        let to_speed = to_speed.min(speed_max);
+        let least = if speed > to_speed {
+            law.way(to_speed, speed)
+        } else {
+            law.way(speed, to_speed)
+        };
+        // Rounding in the last bits is no lack of way.
+        if least > way + way.abs().shifted(-SLACK_BITS) + Real::of(1).shifted(-SLACK_BITS) {
+            return Err(TooShort);
+        }
+        let peak = law.peak(way, speed, to_speed, Some(speed_max));
+        let up = law.rise(speed, peak);
+        let down = law.rise(to_speed, peak);
+        let coast = way - up.way() - down.way();
+        for piece in up.pieces() {
+            path.forward(*piece);
+        }
+        if !coast.is_none() && !peak.is_none() {
+            path.forward(Piece {
+                ticks: coast / peak,
+                speed: peak,
+                accel: Real::ZERO,
+                jerk: Real::ZERO,
+            });
+        }
+        // From the end: the last piece first.
+        let end_ticks = path.ticks() + down.ticks();
+        path.backward(down.pieces(), end_ticks, to_place);
+        *self = path;
+        Ok(())
+    }
+
+    /// Slows down to rest as fast as the law allows, wherever that is.
+    pub fn come_to_rest(&mut self, law: &Law) {
+        let State { speed, accel, .. } = self.end_state();
+        let slack = law.accel().shifted(-SLACK_BITS);
+        if let Some(jerk) = law.jerk()
+            && accel < -slack
+            && -accel <= law.accel() + slack
+            && (speed * jerk).twice() >= accel.squared()
+        {
+            // It brakes already, as if it had begun to a while ago.
+            let since = -accel / jerk;
+            let begun = speed + (since * accel.abs()).half();
+            let made = (begun - (jerk * since.squared()) / Real::of(6)) * since;
+            let down = law.rise(Real::ZERO, begun);
+            let end_ticks = self.ticks() - since + down.ticks();
+            let end_steps = self.end_steps() - made + down.way();
+            self.backward(down.pieces(), end_ticks, end_steps);
+            return;
+        }
+        let speed = self.level_out(law);
+        self.fall(speed, Real::ZERO, law);
+    }
+
+    /// Returns its duration, ticks.
+    pub fn ticks(&self) -> Real {
+        self.last().map_or(Real::ZERO, |phase| phase.end_ticks)
+    }
+
+    /// Returns the place where it begins, steps.
+    pub fn begin_steps(&self) -> Real {
+        self.begin.place
+    }
+
+    /// Returns the place where it ends, steps.
+    pub fn end_steps(&self) -> Real {
+        self.last()
+            .map_or(self.begin.place, |phase| phase.end_steps)
+    }
+
+    /// Returns the state at its end.
+    pub fn end_state(&self) -> State {
+        self.last()
+            .map_or(self.begin, |phase| phase.state_at(phase.end_ticks))
+    }
+
+    /// Returns when the place is passed, ticks from the begin. Before the begin is at the begin,
+    /// behind the end at the end.
+    pub fn ticks_at(&self, place: Real) -> Real {
+        let phases = &self.phases[..self.count];
+        match phases.iter().find(|phase| place <= phase.end_steps) {
+            Some(phase) => phase.ticks_at(place),
+            None => self.ticks(),
+        }
+    }
+
+    /// Returns the place up to which the phase at `place` lasts, steps.
+    pub fn phase_end_steps(&self, place: Real) -> Real {
+        let phases = &self.phases[..self.count];
+        phases
+            .iter()
+            .find(|phase| place <= phase.end_steps)
+            .map_or_else(|| self.end_steps(), |phase| phase.end_steps)
+    }
+
+    /// Returns where it is, `ticks` after its begin.
+    pub fn state_at(&self, ticks: Real) -> State {
+        let phases = &self.phases[..self.count];
+        match phases.iter().find(|phase| ticks <= phase.end_ticks) {
+            Some(phase) => phase.state_at(ticks),
+            None => State {
+                accel: Real::ZERO,
+                ..self.end_state()
+            },
+        }
+    }
+
+    /// Forgets what comes later than this.
+    pub fn cut(&mut self, ticks: Real) {
+        let phases = &self.phases[..self.count];
+        let Some(index) = phases.iter().position(|phase| ticks <= phase.end_ticks) else {
+            return;
+        };
+        let phase = &mut self.phases[index];
+        phase.end_steps = phase.state_at(ticks).place;
+        phase.end_ticks = ticks;
+        self.count = index + 1;
+    }
+
+    fn last(&self) -> Option<&Phase> {
+        self.phases[..self.count].last()
+    }
+
+    fn push(&mut self, phase: Phase) {
+        assert!(self.count < PHASES_MAX, "a path has few phases");
+        self.phases[self.count] = phase;
+        self.count += 1;
+    }
+
+    fn forward(&mut self, piece: Piece) {
+        let (ticks, place) = (self.ticks(), self.end_steps());
+        self.push(Phase {
+            end_ticks: ticks + piece.ticks,
+            end_steps: place + piece.way(),
+            anchor_ticks: ticks,
+            anchor_steps: place,
+            backward: false,
+            piece,
+        });
+    }
+
+    /// Appends what is still to come of a rise read backwards, which ends at this time and place.
+    fn backward(&mut self, pieces: &[Piece], end_ticks: Real, end_steps: Real) {
+        let first = self.count;
+        let now = self.ticks();
+        let (mut ticks, mut place) = (end_ticks, end_steps);
+        for piece in pieces {
+            if ticks <= now {
+                break;
+            }
+            self.push(Phase {
+                end_ticks: ticks,
+                end_steps: place,
+                anchor_ticks: ticks,
+                anchor_steps: place,
+                backward: true,
+                piece: *piece,
+            });
+            ticks = ticks - piece.ticks;
+            place = place - piece.way();
+        }
+        self.phases[first..self.count].reverse();
+    }
+
+    /// Ends an acceleration by the law's jerk; returns the speed then.
+    fn level_out(&mut self, law: &Law) -> Real {
+        let State { speed, accel, .. } = self.end_state();
+        let Some(jerk) = law.level_jerk() else {
+            return speed;
+        };
+        // What rounding leaves of an acceleration that has ended.
+        if accel.abs() <= law.accel().shifted(-SLACK_BITS) {
+            return speed;
+        }
+        if speed.is_none() {
+            return Real::ZERO;
+        }
+        // A braking that the law would not have begun may need more jerk to end before it turns
+        // the motion round.
+        let least = accel.squared().half() / speed;
+        let jerk = if accel.is_negative() {
+            jerk.max(least)
+        } else {
+            jerk
+        };
+        let piece = Piece {
+            ticks: accel.abs() / jerk,
+            speed,
+            accel,
+            jerk: if accel.is_negative() { jerk } else { -jerk },
+        };
+        self.forward(piece);
+        piece.speed_at(piece.ticks).max(Real::ZERO)
+    }
+
+    /// Returns the speed that [`Path::level_out`] ends with.
+    fn level_speed(&self, law: &Law) -> Real {
+        let mut path = *self;
+        path.level_out(law)
+    }
+
+    /// Slows down from `high` to `low`.
+    fn fall(&mut self, high: Real, low: Real, law: &Law) {
+        let down = law.rise(low, high);
+        let end_ticks = self.ticks() + down.ticks();
+        let end_steps = self.end_steps() + down.way();
+        self.backward(down.pieces(), end_ticks, end_steps);
+    }
+}
+
+/// Differences below 2⁻³⁰ of a way are rounding.
+const SLACK_BITS: i32 = 30;

@@ -1,0 +1,402 @@
+//! The reference cases: durations, edges and speeds of ideal moves, from closed forms and from
+//! what LinuxCNC, FastAccelStepper's documentation and ruckig give for them.
+
+use keys::command::RampShape;
+use motion::{
+    law::{Law, speed_from_hz, speed_from_mhz},
+    limits::TICK_HZ,
+    path::{Path, State, TooShort},
+    real::Real,
+};
+
+const HZ: f64 = TICK_HZ as f64;
+
+const TRAPEZOID: RampShape = RampShape::Trapezoid {
+    linear_steps: 0,
+    jump_steps: 0,
+};
+
+fn linear(linear_steps: u16) -> RampShape {
+    RampShape::Trapezoid {
+        linear_steps,
+        jump_steps: 0,
+    }
+}
+
+fn jerk(jerk_hz_per_s2: u32) -> RampShape {
+    RampShape::Jerk { jerk_hz_per_s2 }
+}
+
+fn double(value: Real) -> f64 {
+    let bits = if value < Real::of(1 << 31) { 30 } else { 14 };
+    value.fixed(bits) as f64 / f64::from(1 << bits)
+}
+
+fn ideal(steps: u64, speed_hz: u32, accel: u32, shape: RampShape) -> Path {
+    from_speed(steps, Real::ZERO, speed_hz, accel, shape)
+}
+
+fn from_speed(steps: u64, speed: Real, speed_hz: u32, accel: u32, shape: RampShape) -> Path {
+    let begin = State {
+        speed,
+        ..State::REST
+    };
+    let law = Law::new(accel, shape);
+    let speed_max = speed_from_hz(speed_hz);
+    Path::plan(begin, Real::of(steps), Real::ZERO, speed_max, &law).expect("a whole move")
+}
+
+fn seconds(path: &Path) -> f64 {
+    double(path.ticks()) / HZ
+}
+
+fn edge_ms(path: &Path, number: u64) -> f64 {
+    double(path.ticks_at(Real::of(2 * number - 1).half())) / HZ * 1e3
+}
+
+#[track_caller]
+fn lasts(path: &Path, expected_s: f64) {
+    let found_s = seconds(path);
+    // The cases give their figures with 6 to 10 decimals.
+    assert!(
+        (found_s - expected_s).abs() <= 1.0 / HZ + 5e-7,
+        "{found_s} s instead of {expected_s} s"
+    );
+}
+
+#[test]
+fn constant_acceleration_takes_the_time_of_the_closed_form() {
+    for (steps, speed_hz, accel, expected_s) in [
+        (1_000, 500, 100, 6.324_555_320),
+        (2_600, 500, 100, 10.2),
+        (2_500, 500, 100, 10.0),
+        (15_000, 10_000, 10_000, 2.5),
+        (32_000, 4_000, 2_000, 10.0),
+        (32_000, 6_400, 1_280, 10.0),
+        (256_000, 25_000, 5_000, 15.24),
+        (128_000, 4_000, 1_000, 36.0),
+        (72_000, 4_000, 1_000, 22.0),
+        (44_000, 4_000, 1_000, 15.0),
+        (16_040, 4_000, 1_000, 8.01),
+        (1_600, 20_000, 10_000, 0.8),
+        (1_000, 50_000, 1_000, 2.0),
+        (500, 250, 5, 20.0),
+        (2_000, 250, 5, 40.0),
+        (12_600, 250, 5, 100.4),
+        (16_500, 250, 5, 116.0),
+        (100, 25_000, 1, 20.0),
+        (1, 25_000, 1_000, 0.063_245_553),
+        (2, 1_000, 100, 0.282_842_712),
+        (1_280, 4_800, 64_000, 0.341_666_667),
+        (160, 500, 1_000, 0.8),
+    ] {
+        lasts(&ideal(steps, speed_hz, accel, TRAPEZOID), expected_s);
+    }
+}
+
+#[test]
+fn edges_lie_in_the_middle_of_their_steps() {
+    let seed = ideal(1_000, 500, 100, TRAPEZOID);
+    let fast = ideal(15_000, 10_000, 10_000, TRAPEZOID);
+    let linuxcnc = ideal(1_280, 4_800, 64_000, TRAPEZOID);
+    for (path, number, expected_ms) in [
+        (&seed, 1, 100.0),
+        (&seed, 2, 173.205),
+        (&seed, 10, 435.890),
+        (&seed, 100, 1_410.674),
+        (&seed, 500, 3_160.696),
+        (&seed, 501, 3_163.859),
+        (&seed, 999, 6_151.350),
+        (&seed, 1_000, 6_224.555),
+        (&fast, 1, 10.0),
+        (&fast, 2, 17.321),
+        (&fast, 5_000, 999.950),
+        (&fast, 5_001, 1_000.050),
+        (&fast, 7_500, 1_249.950),
+        (&fast, 10_000, 1_499.950),
+        (&fast, 14_999, 2_482.679),
+        (&fast, 15_000, 2_490.0),
+        (&linuxcnc, 1, 3.953),
+        (&linuxcnc, 2, 6.847),
+        (&linuxcnc, 3, 8.839),
+        (&linuxcnc, 4, 10.458),
+        (&linuxcnc, 5, 11.859),
+        (&linuxcnc, 10, 17.230),
+        (&linuxcnc, 640, 170.729),
+        (&linuxcnc, 1_271, 324.437),
+        (&linuxcnc, 1_279, 334.820),
+        (&linuxcnc, 1_280, 337.714),
+    ] {
+        let found_ms = edge_ms(path, number);
+        assert!(
+            (found_ms - expected_ms).abs() <= 0.000_51,
+            "edge {number}: {found_ms} instead of {expected_ms}"
+        );
+    }
+}
+
+#[test]
+fn edges_of_the_longest_moves_are_right_to_a_hundredth_of_a_tick() {
+    for (steps, speed_hz, accel) in [
+        (1_000_u64, 500, 100),
+        (3_000_000, 200_000, 1_000_000),
+        (2_000_000_000, 1_000_000, 1),
+        (1_u64 << 33, 400_000, u32::MAX),
+        (255, 20_000, i32::MAX as u32),
+    ] {
+        let path = ideal(steps, speed_hz, accel, TRAPEZOID);
+        let (v, a, n) = (f64::from(speed_hz), f64::from(accel), steps as f64);
+        let coasts = n * a >= v * v;
+        let ramp = if coasts { v * v / a / 2.0 } else { n / 2.0 };
+        for number in [1_u64, 2, 3, 10, 1_000, steps / 3, steps / 2] {
+            if number == 0 || 2 * number > steps {
+                continue;
+            }
+            let s = number as f64 - 0.5;
+            // Seen from the slow end on both sides, where the closed form is exact.
+            let near = if s <= ramp {
+                (2.0 * s / a).sqrt()
+            } else {
+                v / (2.0 * a) + s / v
+            } * HZ;
+            let there = double(path.ticks_at(Real::of(2 * number - 1).half()));
+            assert!(
+                (there - near).abs() <= 0.01 + near * 2e-16,
+                "{steps} {number}"
+            );
+            let mirrored = Real::of(2 * steps) - Real::of(2 * number - 1);
+            let back = double(path.ticks() - path.ticks_at(mirrored.half()));
+            assert!(
+                (back - near).abs() <= 0.01 + near * 4e-16,
+                "{steps} {number} from the end: {back} {near}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_way_to_stop_is_the_square_of_the_speed_over_twice_the_acceleration() {
+    for (speed_hz, accel, expected_steps) in [
+        (500, 100, 1_250),
+        (4_000, 2_000, 4_000),
+        (10_000, 10_000, 5_000),
+        (200_000, 1_000_000, 20_000),
+    ] {
+        let law = Law::new(accel, TRAPEZOID);
+        let way = law.way(Real::ZERO, speed_from_hz(speed_hz));
+        assert_eq!(way.rounded(), expected_steps);
+    }
+}
+
+#[test]
+fn a_stop_in_flight_ends_where_it_should() {
+    // 4000 Hz by 2000/s²: after 3 s at 8000 steps, it takes 2 s and 4000 steps.
+    let law = Law::new(2_000, TRAPEZOID);
+    let mut path = ideal(32_000, 4_000, 2_000, TRAPEZOID);
+    path.cut(Real::of(3 * TICK_HZ));
+    path.come_to_rest(&law);
+    lasts(&path, 5.0);
+    assert_eq!(path.end_steps().shifted(20).rounded(), 12_000 << 20);
+}
+
+#[test]
+fn speed_and_target_change_in_flight_without_a_stop() {
+    let law = Law::new(1_000, TRAPEZOID);
+    // At 5000 steps of 20,000 the speed rises from 2500 to 3333.333 Hz.
+    let mut path = ideal(20_000, 2_500, 1_000, TRAPEZOID);
+    path.cut(path.ticks_at(Real::of(5_000)));
+    let faster = speed_from_mhz(3_333_333);
+    path.go_on(Real::of(20_000), Real::ZERO, faster, &law)
+        .expect("room");
+    lasts(&path, 9.520_833);
+    // And down to 2000 Hz.
+    let mut path = ideal(20_000, 2_500, 1_000, TRAPEZOID);
+    path.cut(path.ticks_at(Real::of(5_000)));
+    path.go_on(Real::of(20_000), Real::ZERO, speed_from_hz(2_000), &law)
+        .expect("room");
+    lasts(&path, 11.687_5);
+    // At 500 steps the target moves from 3000 to 4000.
+    let law = Law::new(10_000, TRAPEZOID);
+    let mut path = ideal(3_000, 2_500, 10_000, TRAPEZOID);
+    path.cut(path.ticks_at(Real::of(500)));
+    path.go_on(Real::of(4_000), Real::ZERO, speed_from_hz(2_500), &law)
+        .expect("room");
+    lasts(&path, 1.85);
+    // Back to 0 from 500 steps at 1000 Hz: there is no way to do that without turning.
+    let law = Law::new(1_000, TRAPEZOID);
+    let mut path = ideal(20_000, 2_500, 1_000, TRAPEZOID);
+    path.cut(path.ticks_at(Real::of(500)));
+    let kept = path;
+    let refused = path.go_on(Real::of(500), Real::ZERO, speed_from_hz(2_500), &law);
+    assert_eq!(refused, Err(TooShort));
+    assert_eq!(path.ticks(), kept.ticks());
+    path.come_to_rest(&law);
+    assert_eq!(path.end_steps().shifted(20).rounded(), 1_000 << 20);
+    lasts(&path, 2.0);
+}
+
+#[test]
+fn linear_acceleration_and_jump_start_are_those_of_fast_accel_stepper() {
+    // Speed at the end of the linear part: √(1.5·a·s_h), after √(6·s_h/a).
+    for (accel, linear_steps, speed_hz, after_s) in [
+        (10_000, 1_000, 3_872.983_3, 0.774_597),
+        (10_000, 100, 1_224.744_9, 0.244_949),
+        (1_000, 50, 273.861_3, 0.547_723),
+    ] {
+        let path = ideal(1_000_000, 100_000, accel, linear(linear_steps));
+        let at = path.ticks_at(Real::of(u64::from(linear_steps)));
+        assert!((double(at) / HZ - after_s).abs() < 1e-6);
+        let found_hz = double(path.state_at(at).speed * Real::of(TICK_HZ));
+        assert!((found_hz - speed_hz).abs() < 1e-3, "{found_hz}");
+    }
+    for (linear_steps, jump_steps, speed_hz) in [
+        (0, 100, 1_414.213_6),
+        (0, 1, 141.421_4),
+        (1_000, 100, 834.409_0),
+        (1_000, 1_000, 3_872.983_3),
+        (1_000, 2_000, 5_916.079_8),
+    ] {
+        let law = Law::new(10_000, linear(linear_steps));
+        let found_hz = double(law.jump_speed(Real::of(jump_steps)) * Real::of(TICK_HZ));
+        assert!((found_hz - speed_hz).abs() < 1e-3, "{found_hz}");
+    }
+    lasts(&ideal(15_000, 10_000, 10_000, linear(1_000)), 3.224_597);
+    let law = Law::new(10_000, TRAPEZOID);
+    let jump = law.jump_speed(Real::of(100));
+    let path = from_speed(15_000, jump, 10_000, 10_000, TRAPEZOID);
+    lasts(&path, 2.368_579);
+    let law = Law::new(10_000, linear(1_000));
+    let jump = law.jump_speed(Real::of(100));
+    let path = from_speed(15_000, jump, 10_000, 10_000, linear(1_000));
+    lasts(&path, 2.875_061);
+}
+
+#[test]
+fn s_curves_are_those_of_the_closed_form_and_of_ruckig() {
+    for (steps, speed_hz, accel, jerk_hz, expected_s) in [
+        (1, 1, 1, 1, 3.174_802_103_9),
+        (2, 1, 1, 1, 4.0),
+        (3, 1, 1, 1, 5.0),
+        (32_000, 4_000, 8_000, 80_000, 8.6),
+        (1_000, 1_000, 10_000, 100_000, 1.2),
+        (10_000, 5_000, 20_000, 400_000, 2.3),
+        (100, 5_000, 20_000, 400_000, 0.2),
+    ] {
+        lasts(&ideal(steps, speed_hz, accel, jerk(jerk_hz)), expected_s);
+    }
+    let path = ideal(32_000, 4_000, 8_000, jerk(80_000));
+    let early = path.state_at(Real::of(TICK_HZ / 10));
+    assert!((double(early.place) - 13.333_333).abs() < 1e-6);
+    assert!((double(early.speed * Real::of(TICK_HZ)) - 400.0).abs() < 1e-6);
+    let risen = path.state_at(Real::of(TICK_HZ * 6 / 10));
+    assert!((double(risen.place) - 1_200.0).abs() < 1e-6);
+    let unit = ideal(1, 1, 1, jerk(1));
+    let middle = unit.state_at(unit.ticks().half());
+    assert!((double(middle.place) - 0.5).abs() < 1e-8);
+    assert!((double(middle.speed * Real::of(TICK_HZ)) - 0.629_961).abs() < 1e-6);
+}
+
+/// Speed, acceleration and jerk by differences; place by the sum of speeds.
+#[test]
+fn random_paths_keep_their_limits_and_pass_every_place_when_they_say() {
+    let mut state = 20_u64;
+    let mut next = |below: u64| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state % below
+    };
+    for case in 0..3_000 {
+        let mut of_size = |bits: u64| {
+            let size = 1 + next(bits);
+            1 + next(1 << size)
+        };
+        let steps = of_size(20);
+        let speed_hz = of_size(18) as u32;
+        let accel = of_size(22) as u32;
+        let jerk_hz = of_size(26) as u32;
+        let shape = match next(3) {
+            0 => TRAPEZOID,
+            1 => linear(1 + next(2_000) as u16),
+            _ => jerk(jerk_hz),
+        };
+        let law = Law::new(accel, shape);
+        let mut path = ideal(steps, speed_hz, accel, shape);
+        if next(3) == 0 {
+            let at = path.ticks() * Real::of(next(1_000)) / Real::of(1_000);
+            path.cut(at);
+            if next(2) == 0 {
+                path.come_to_rest(&law);
+            } else {
+                let slower = speed_from_hz(1 + speed_hz / 2);
+                let _ = path.go_on(Real::of(steps), Real::ZERO, slower, &law);
+            }
+        }
+        let what = format!("case {case}: {steps} {speed_hz} {accel} {shape:?}");
+        let speed_max = double(speed_from_hz(speed_hz).shifted(30)) * 1.001 + 1e-6;
+        let accel_max = double(law.accel().shifted(60)) * 1.001;
+        let parts = 200_u64;
+        let mut before = path.state_at(Real::ZERO);
+        for part in 1..=parts {
+            let at = path.ticks() * Real::of(part) / Real::of(parts);
+            let found = path.state_at(at);
+            assert!(found.place >= before.place, "{what}");
+            // The limits of an S-curve hold unless a change in flight has to end its acceleration.
+            let speed = double(found.speed.shifted(30));
+            assert!(speed <= speed_max, "{what}: speed {speed} > {speed_max}");
+            let accel = double(found.accel.abs().shifted(60));
+            assert!(accel <= accel_max, "{what}: {accel} > {accel_max}");
+            if !found.speed.is_none() && !(found.place - before.place).is_none() {
+                let again = path.ticks_at(found.place);
+                let off = double((again - at).abs());
+                // At rest the time of a place is not sharp.
+                let slack = 0.05 + double(found.place.shifted(-40) / found.speed);
+                let slack = slack + double(at.shifted(-30));
+                assert!(off <= slack, "{what}: {part} {off} > {slack}");
+            }
+            before = found;
+        }
+    }
+}
+
+#[test]
+fn a_braking_that_began_by_another_law_never_turns_the_motion_round() {
+    let hard = Law::new(100_000, jerk(10_000_000));
+    let soft = Law::new(1_000, jerk(1_000));
+    for part in 1..100 {
+        let mut path = ideal(1_000, 5_000, 100_000, jerk(10_000_000));
+        path.cut(path.ticks() * Real::of(part) / Real::of(100));
+        let (place, ticks) = (path.end_steps(), path.ticks());
+        path.come_to_rest(&soft);
+        assert!(path.end_steps() >= place, "{part}");
+        let mut before = place;
+        for more in 0..=100 {
+            let at = ticks + (path.ticks() - ticks) * Real::of(more) / Real::of(100);
+            let found = path.state_at(at).place;
+            assert!(found + Real::of(1).shifted(-20) >= before, "{part} {more}");
+            before = found;
+        }
+        assert!(path.end_state().speed <= hard.accel(), "{part}");
+    }
+}
+
+#[test]
+fn a_stop_that_comes_while_an_s_curve_brakes_changes_nothing() {
+    let law = Law::new(10_000, jerk(100_000));
+    let whole = ideal(200, 1_000, 10_000, jerk(100_000));
+    let mut braking = 0;
+    for part in 1..200 {
+        let mut path = whole;
+        path.cut(path.ticks() * Real::of(part) / Real::of(200));
+        let accel = path.end_state().accel;
+        path.come_to_rest(&law);
+        let early = double(whole.end_steps() - path.end_steps());
+        assert!(early > -1e-6, "{part}: {early}");
+        if accel.is_negative() {
+            braking += 1;
+            assert!(early.abs() < 1e-6, "{part}: {early}");
+            assert!(double((path.ticks() - whole.ticks()).abs()) < 1.0, "{part}");
+        }
+    }
+    assert!(braking > 50);
+}
