@@ -3,18 +3,26 @@
 //! Commands of a run must be distinguishable: see [`Book`].
 
 use crate::World;
-use emulator::{oracle, record::Life};
+use emulator::{
+    oracle,
+    record::{Life, TakenCommand},
+};
 use keys::{
-    Command, JobId, QueueId,
+    AxisId, Command, JobId, QueueId,
     record::{JobRecord, JobState},
 };
 use std::collections::BTreeMap;
 
-/// Jobs whose every command has an interval of its own, so that it is known again at the node.
+/// Numbers of commands are below this: a ramp carries its own in the remainder of its acceleration.
+const NUMBERS: u32 = 4_096;
+
+/// Jobs whose every command has a number of its own, so that it is known again at the node: the
+/// interval of a move, the remainder of the acceleration of a ramp or line, the position that is
+/// set.
 #[derive(Debug, Default)]
 pub struct Book {
     jobs: BTreeMap<JobId, Vec<u32>>,
-    next_delay_us: u32,
+    next_number: u32,
 }
 
 impl Book {
@@ -22,7 +30,7 @@ impl Book {
     pub fn new() -> Self {
         Self {
             jobs: BTreeMap::new(),
-            next_delay_us: 20,
+            next_number: 20,
         }
     }
 
@@ -31,31 +39,52 @@ impl Book {
     /// # Panics
     /// The name is taken.
     pub fn job(&mut self, name: &str, steps: &[(u8, i32)]) -> serde_json::Value {
-        let mut delays_us = Vec::new();
-        let commands: Vec<_> = steps
+        self.job_of(name, steps.len(), |index, number| {
+            let (axis, steps) = steps[index];
+            serde_json::json!({"move": {"axis": axis, "delay_us": number, "steps": steps}})
+        })
+    }
+
+    /// Makes a job of `count` commands, each from its index and its number.
+    ///
+    /// # Panics
+    /// The name is taken, or there are no more numbers.
+    pub fn job_of(
+        &mut self,
+        name: &str,
+        count: usize,
+        mut make: impl FnMut(usize, u32) -> serde_json::Value,
+    ) -> serde_json::Value {
+        let numbers: Vec<u32> = (self.next_number..).take(count).collect();
+        self.next_number += count as u32;
+        assert!(self.next_number <= NUMBERS, "too many commands");
+        let commands: Vec<_> = numbers
             .iter()
-            .map(|(axis, steps)| {
-                delays_us.push(self.next_delay_us);
-                self.next_delay_us += 1;
-                serde_json::json!({"move": {
-                    "axis": axis, "delay_us": self.next_delay_us - 1, "steps": steps
-                }})
-            })
+            .enumerate()
+            .map(|(index, number)| make(index, *number))
             .collect();
         let id = JobId::new(name).expect("legal");
-        assert!(
-            self.jobs.insert(id, delays_us).is_none(),
-            "the name is taken"
-        );
+        assert!(self.jobs.insert(id, numbers).is_none(), "the name is taken");
         serde_json::json!({"id": name, "commands": commands})
     }
 
+    /// Returns an acceleration of about `accel_hz_per_s` that carries this number.
+    pub fn accel_of(number: u32, accel_hz_per_s: u32) -> u32 {
+        accel_hz_per_s / NUMBERS * NUMBERS + number
+    }
+
     fn find(&self, command: &Command) -> Option<(JobId, usize)> {
-        let Command::Move { delay_us, .. } = command else {
-            return None;
+        let number = match *command {
+            Command::Move { delay_us, .. } => delay_us,
+            Command::Ramp { ramp, .. } | Command::RampTo { ramp, .. } => {
+                ramp.accel_hz_per_s % NUMBERS
+            }
+            Command::Line { accel_hz_per_s, .. } => accel_hz_per_s % NUMBERS,
+            Command::SetPosition { position_steps, .. } => u32::try_from(position_steps).ok()?,
+            _ => return None,
         };
-        self.jobs.iter().find_map(|(job, delays_us)| {
-            let index = delays_us.binary_search(delay_us).ok()?;
+        self.jobs.iter().find_map(|(job, numbers)| {
+            let index = numbers.binary_search(&number).ok()?;
             Some((*job, index))
         })
     }
@@ -69,6 +98,7 @@ impl World {
     pub fn verdict(&self, book: &Book) -> u64 {
         let mut taken: BTreeMap<JobId, usize> = BTreeMap::new();
         let mut executed: BTreeMap<JobId, u64> = BTreeMap::new();
+        let mut ends: BTreeMap<JobId, Vec<i64>> = BTreeMap::new();
         let mut count = 0;
         for (name, machine) in self.machines() {
             let present = machine.node.life();
@@ -81,6 +111,7 @@ impl World {
                     panic!("node {name}: {}", lines.join("; "));
                 }
                 let mut numbers: BTreeMap<QueueId, u64> = BTreeMap::new();
+                let mut place = Place::new(life);
                 for command in &life.commands {
                     let number = numbers.entry(command.queue).or_default();
                     assert_eq!(command.number, *number, "node {name}: a gap in the queue");
@@ -93,10 +124,12 @@ impl World {
                         "node {name}: job {job}: lost or doubled command"
                     );
                     *next += 1;
+                    ends.insert(job, place.after(command));
                     if command.number < executed_of(life, command.queue) {
                         *executed.entry(job).or_default() += 1;
                     }
                 }
+                place.check(name.as_str());
             }
         }
         let mut waiting = Vec::new();
@@ -113,6 +146,8 @@ impl World {
                 JobState::Succeeded => {
                     assert_eq!((went, done), (total, total), "job {job} succeeded");
                     assert_eq!(last.progress.done, total, "job {job} succeeded");
+                    let result = last.result.as_ref().expect("what succeeded has a result");
+                    assert_eq!(Some(&result.position), ends.get(job), "job {job} succeeded");
                 }
                 JobState::Failed | JobState::TimedOut => {
                     assert!(last.error.is_some(), "job {job} failed without a reason");
@@ -134,6 +169,68 @@ impl World {
             }
         }
         count
+    }
+}
+
+/// Where the commands of a life lead, by addition alone. A stop may cut a command short: a queue
+/// behind one begins where the report says that the axes are.
+struct Place<'l> {
+    life: &'l Life,
+    queue: Option<QueueId>,
+    positions: Vec<i64>,
+}
+
+impl<'l> Place<'l> {
+    fn new(life: &'l Life) -> Self {
+        let positions = vec![0; life.axis_count];
+        Self {
+            life,
+            queue: None,
+            positions,
+        }
+    }
+
+    /// Goes on by the next command; returns where the axes are then.
+    fn after(&mut self, taken: &TakenCommand) -> Vec<i64> {
+        if let Some(queue) = self
+            .queue
+            .replace(taken.queue)
+            .filter(|q| *q != taken.queue)
+        {
+            self.take_report(queue);
+        }
+        let here = (0..).zip(&self.positions);
+        let mut commands: Vec<Command> = here
+            .map(|(axis, position)| Command::SetPosition {
+                axis: AxisId(axis),
+                position_steps: *position,
+            })
+            .collect();
+        commands.push(taken.command);
+        self.positions = oracle::positions_after(&commands, self.life.axis_count);
+        self.positions.clone()
+    }
+
+    fn take_report(&mut self, queue: QueueId) {
+        let stop = self.life.stops.iter().find(|stop| stop.queue == queue);
+        let stop = stop.expect("a queue ends with a report");
+        if stop.executed_commands == stop.accepted_commands {
+            let said = stop.positions_steps.as_slice();
+            assert_eq!(said, self.positions, "{queue:?} was executed to its end");
+        }
+        self.positions = stop.positions_steps.to_vec();
+    }
+
+    /// At the end of the life. If it was cut off, a command may be under way.
+    fn check(mut self, node: &str) {
+        let status = &self.life.status;
+        if let Some(queue) = self.queue.filter(|queue| *queue != status.queue) {
+            self.take_report(queue);
+        } else if status.executed_commands < status.accepted_commands {
+            return;
+        }
+        let axes = status.axes.iter().map(|axis| axis.position_steps);
+        assert_eq!(axes.collect::<Vec<_>>(), self.positions, "node {node}");
     }
 }
 

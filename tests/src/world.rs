@@ -41,8 +41,8 @@ const EDGES_MAX: usize = 2_000_000;
 /// A node and its link.
 #[derive(Debug)]
 pub struct Machine {
-    /// The node.
-    pub node: EmulatedNode,
+    /// The node. On the heap: a map moves its values about on the stack.
+    pub node: Box<EmulatedNode>,
     clock: LocalClock,
     drift_ppb: i64,
     /// The link carries messages.
@@ -130,7 +130,7 @@ impl World {
         let machine = Machine {
             clock: LocalClock::new(self.now_us, offset_us, drift_ppb),
             drift_ppb,
-            node: EmulatedNode::new(config, self.random.number() as u32),
+            node: Box::new(EmulatedNode::new(config, self.random.number() as u32)),
             wired: true,
             link_known: false,
             token_known: false,

@@ -59,16 +59,31 @@ fn imports_lead_the_way_that_the_readme_draws() {
 
 #[test]
 fn the_oracle_knows_nothing_of_motion() {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../node-firmware/emulator/src/oracle.rs"
-    );
-    let text = std::fs::read_to_string(path).expect("the oracle is there");
-    let imports = text
-        .lines()
-        .filter(|line| line.trim_start().starts_with("use "));
-    for line in imports {
-        assert!(!line.contains("motion") && !line.contains("node"), "{line}");
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/../node-firmware/emulator/src");
+    let mut files = vec![
+        format!("{source}/oracle.rs"),
+        format!("{source}/kinematics.rs"),
+    ];
+    for entry in std::fs::read_dir(format!("{source}/oracle")).expect("its parts are there") {
+        let path = entry.expect("an entry").path();
+        files.push(path.to_str().expect("a name").to_owned());
     }
-    assert!(!text.contains("motion::") && !text.contains("node::"));
+    assert!(files.len() > 2);
+    for file in files {
+        let text = std::fs::read_to_string(&file).expect("the oracle is there");
+        let imports = text
+            .lines()
+            .filter(|line| line.trim_start().starts_with("use "));
+        for line in imports {
+            let own = line.replace("node_", "");
+            assert!(
+                !own.contains("motion") && !own.contains("node"),
+                "{file}: {line}"
+            );
+        }
+        assert!(
+            !text.contains("motion::") && !text.contains("node::"),
+            "{file}"
+        );
+    }
 }

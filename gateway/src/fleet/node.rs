@@ -509,5 +509,8 @@ fn word_of(command: &keys::Command) -> &'static str {
         Command::Line { .. } => "line",
         Command::Home { .. } => "home",
         Command::Barrier { .. } => "barrier",
+        Command::MoveC { .. } => "movc",
+        Command::MoveD { .. } => "movd",
+        Command::StatusCd => "statcd",
     }
 }

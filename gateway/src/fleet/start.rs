@@ -717,13 +717,18 @@ fn first_edge_us(commands: &[Command]) -> u64 {
         match *command {
             Command::Pause { pause_ms } => offset_us += u64::from(pause_ms) * 1_000,
             Command::Barrier { .. } => return 0,
-            Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. } => {}
+            Command::Laser { .. }
+            | Command::LidarRead
+            | Command::SetPosition { .. }
+            | Command::StatusCd => {}
             Command::Move { .. }
             | Command::SyncMove { .. }
             | Command::Ramp { .. }
             | Command::RampTo { .. }
             | Command::Line { .. }
-            | Command::Home { .. } => return offset_us,
+            | Command::Home { .. }
+            | Command::MoveC { .. }
+            | Command::MoveD { .. } => return offset_us,
         }
     }
     0

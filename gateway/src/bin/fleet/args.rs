@@ -72,6 +72,16 @@ Examples:
 
     /// Hand in a job: JSON commands, or a Lua script.
     #[command(after_help = "\
+Commands; ways in steps, accel in steps/s², jerk in steps/s³:
+  {\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":-2000}}                  no ramp
+  {\"sync_move\":{\"delay_us\":[500,1000],\"steps\":[2000,1000]}}         axes 0 and 1
+  {\"ramp\":{\"axis\":0,\"steps\":1000,\"speed_hz\":500,\"accel\":100}}     relative (1)
+  {\"ramp_to\":{\"axis\":0,\"position\":0,\"speed_hz\":500,\"accel\":100}}  absolute (1)
+  {\"line\":{\"steps\":[9000,4000],\"speed_hz\":5000,\"accel\":10000}}    all axes together (2)
+  {\"pause\":{\"ms\":100}}  {\"laser\":{\"power_percent\":50}}  {\"lidar_read\":{}}
+  {\"set_position\":{\"axis\":0,\"position\":0}}  {\"barrier\":{\"name\":\"layer-2\"}}
+  (1) may have \"linear_steps\" and \"jump_steps\", or \"jerk\"  (2) may have \"jerk\"
+
 Examples:
   fleet submit square.json --node left --wait
   fleet submit drill.lua --node 'cell-$*' --id drill-7
@@ -107,7 +117,7 @@ Examples:
     #[command(after_help = "Examples:\n  fleet release left\n  fleet release")]
     Release(Release),
 
-    /// Run a gateway and three emulated nodes, play a job on each, and check every pulse.
+    /// Run a gateway and five emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
     Demo,
 }

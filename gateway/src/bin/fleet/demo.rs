@@ -1,4 +1,4 @@
-//! `fleet demo`: a gateway and three emulated nodes in this process, over real TCP.
+//! `fleet demo`: a gateway and five emulated nodes in this process, over real TCP.
 //!
 //! Plays another example job on each node, handed in by an ordinary client, and then one job on all
 //! of them that starts at one instant. Holds four things against each other: where the commands of
@@ -16,8 +16,8 @@ use comfy_table::{Cell, Color};
 use emulator::{EmulatedHandle, EmulatorConfig, Recording, oracle};
 use gateway::{config::GatewayConfig, service::Service};
 use keys::{
-    Keys, NodeId, NodeTopic,
-    job::{JobCommand, JobRequest, Work},
+    Command, Keys, NodeId, NodeTopic,
+    job::{JobRequest, Work},
     record::{JobRecord, JobState, NodeRecord, Receipt},
 };
 use std::{
@@ -28,7 +28,7 @@ use std::{
 use zenoh::bytes::Encoding;
 
 /// Node, name of its job, and the job.
-const PLAYS: [(&str, &str, &str); 3] = [
+const PLAYS: [(&str, &str, &str); 5] = [
     (
         "left",
         "squares",
@@ -43,6 +43,16 @@ const PLAYS: [(&str, &str, &str); 3] = [
         "right",
         "ripples",
         include_str!("../../../examples/jobs/ripples.json"),
+    ),
+    (
+        "front",
+        "ramp",
+        include_str!("../../../examples/jobs/ramp.json"),
+    ),
+    (
+        "back",
+        "path",
+        include_str!("../../../examples/jobs/path.json"),
     ),
 ];
 
@@ -269,7 +279,27 @@ async fn play(
 }
 
 /// Starts one job on all nodes at one instant and waits for its end.
+///
+/// A machine that is busy for a quarter of a second is late for a start. Then nobody has moved, and
+/// the job is handed in once more under another name.
 async fn start_together(link: &Link, bars: bool) -> Result<JobRecord, Failure> {
+    let deadline = Instant::now() + PLAY_WITHIN;
+    let mut attempts = 0;
+    loop {
+        attempts += 1;
+        let name = match attempts {
+            1 => TOGETHER_NAME.to_owned(),
+            _ => format!("{TOGETHER_NAME}-{attempts}"),
+        };
+        let record = start_once(link, bars, &name).await?;
+        let late = record.state == JobState::Failed && record.start.is_none();
+        if !late || Instant::now() >= deadline {
+            return Ok(record);
+        }
+    }
+}
+
+async fn start_once(link: &Link, bars: bool, name: &str) -> Result<JobRecord, Failure> {
     let follower = Follower::new(link, bars).await?;
     let commands: serde_json::Value =
         serde_json::from_str(TOGETHER).context("the example is JSON")?;
@@ -281,17 +311,19 @@ async fn start_together(link: &Link, bars: bool) -> Result<JobRecord, Failure> {
         .collect();
     // Nodes of this demo are seconds old, and the machine may be busy: what is measured is shown,
     // whatever it is.
-    let job = serde_json::json!({"id": TOGETHER_NAME, "nodes": nodes, "max_skew_us": 20_000});
+    let job = serde_json::json!({
+        "id": name, "nodes": nodes, "max_skew_us": 20_000, "ready_timeout_ms": 30_000,
+    });
     let key = format!("{}/group/demo/job", link.keys().prefix());
     let payload = (job.to_string().into_bytes(), Encoding::APPLICATION_JSON);
     let mut jobs = Vec::new();
     for answer in link.get(&key, Some(payload)).await? {
-        let payload = answer.map_err(|error| anyhow!("{TOGETHER_NAME}: {error}"))?;
+        let payload = answer.map_err(|error| anyhow!("{name}: {error}"))?;
         jobs.push(read::<Receipt>(&payload)?.job);
     }
     let ended = follower.wait(&jobs, Some(PLAY_WITHIN)).await?;
     let record = ended.records.into_iter().next();
-    Ok(record.ok_or_else(|| anyhow!("{TOGETHER_NAME} has no record"))?)
+    Ok(record.ok_or_else(|| anyhow!("{name} has no record"))?)
 }
 
 fn boot(node: &str, keys: &Keys, locator: &str, seed: u64) -> Result<EmulatedHandle> {
@@ -306,32 +338,21 @@ fn boot(node: &str, keys: &Keys, locator: &str, seed: u64) -> Result<EmulatedHan
     emulator::spawn(config).map_err(|error| anyhow!("{node}: {error}"))
 }
 
-/// Adds up the raw moves of a job: where it leads from 0.
+/// Adds up the commands of a job: where it leads from 0.
 fn destination(name: &str, text: &str, axis_count: usize) -> Result<Vec<i64>> {
     let request = JobRequest::from_json(text.as_bytes()).context(name.to_owned())?;
     let Work::Commands(commands) = request.work else {
         return Err(anyhow!("{name} is a script"));
     };
-    let mut positions = vec![0_i64; axis_count];
-    for command in commands {
-        match command {
-            JobCommand::Move(fields) => {
-                positions[usize::from(fields.axis)] += i64::from(fields.steps);
-            }
-            JobCommand::SyncMove(fields) => {
-                for (position, steps) in positions.iter_mut().zip(fields.steps) {
-                    *position += i64::from(steps);
-                }
-            }
-            JobCommand::Pause(_) | JobCommand::Laser(_) | JobCommand::LidarRead(_) => {}
-            other => {
-                return Err(anyhow!(
-                    "{name} holds {other:?}, whose end is not known here"
-                ));
-            }
-        }
+    // A job of its own has no barriers to be numbered.
+    let commands: Vec<Command> = commands
+        .iter()
+        .map(|command| command.to_command(|_| 0))
+        .collect();
+    if let Some(command) = commands.iter().find(|c| matches!(c, Command::Home { .. })) {
+        return Err(anyhow!("{name}: where {command:?} ends is not known here"));
     }
-    Ok(positions)
+    Ok(oracle::positions_after(&commands, axis_count))
 }
 
 fn table_of(played: &[Played]) -> comfy_table::Table {
@@ -389,6 +410,9 @@ mod tests {
             .iter()
             .map(|(_, name, text)| destination(name, text, 2).expect("legal"))
             .collect();
-        assert_eq!(ends, [[-1_200, 0], [0, 0], [800, 800]]);
+        assert_eq!(
+            ends,
+            [[-1_200, 0], [0, 0], [800, 800], [-500, 250], [-400, -1_000]]
+        );
     }
 }
