@@ -426,15 +426,7 @@ impl JobRequest {
     /// # Errors
     /// The first thing that is wrong.
     pub fn from_postcard(payload: &[u8]) -> Result<Self, JobError> {
-        if payload.len() > JOB_BYTES_MAX {
-            return Err(too_large_bytes(payload.len()));
-        }
-        let request: Self = crate::version::decode(payload).map_err(|error| {
-            JobError::new(
-                ErrorCode::BadJson,
-                format!("no postcard JobRequest: {error}"),
-            )
-        })?;
+        let request: Self = from_postcard(payload, "JobRequest")?;
         request.check()?;
         Ok(request)
     }
@@ -547,13 +539,7 @@ impl GroupRequest {
     /// # Errors
     /// The first thing that is wrong.
     pub fn from_postcard(payload: &[u8]) -> Result<Self, JobError> {
-        if payload.len() > JOB_BYTES_MAX {
-            return Err(too_large_bytes(payload.len()));
-        }
-        let request: Self = crate::version::decode(payload).map_err(|error| {
-            let message = format!("no postcard GroupRequest: {error}");
-            JobError::new(ErrorCode::BadJson, message)
-        })?;
+        let request: Self = from_postcard(payload, "GroupRequest")?;
         request.check()?;
         Ok(request)
     }
@@ -940,6 +926,17 @@ impl JobCommand {
             Self::StatusCd(_) => Command::StatusCd,
         }
     }
+}
+
+/// Decodes a request of client's postcard, not yet checked; `name` is the message's in the error.
+fn from_postcard<T: de::DeserializeOwned>(payload: &[u8], name: &str) -> Result<T, JobError> {
+    if payload.len() > JOB_BYTES_MAX {
+        return Err(too_large_bytes(payload.len()));
+    }
+    crate::version::decode(payload).map_err(|error| {
+        let message = format!("no postcard {name}: {error}");
+        JobError::new(ErrorCode::BadJson, message)
+    })
 }
 
 fn too_large_bytes(byte_count: usize) -> JobError {

@@ -106,15 +106,7 @@ pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>)
     );
     record.group = whole.record.group;
     record.updated = whole.record.updated;
-    let entry = JobEntry {
-        record,
-        sequence: whole.sequence,
-        activation: None,
-        ending: None,
-        timeout_us: None,
-        group: None,
-    };
-    let mut part = Job::new(entry, commands);
+    let mut part = Job::new(JobEntry::new(record, whole.sequence), commands);
     part.head_commands = 1;
     part
 }
@@ -189,14 +181,8 @@ impl Fleet {
         let mut record = new_record(id, None, JobState::Queued, 0, self.now);
         record.version += self.version_of_rejected(&id);
         record.group = Some(group);
-        let entry = JobEntry {
-            record,
-            sequence: self.book.take_sequence(),
-            activation: None,
-            ending: None,
-            timeout_us: None,
-            group: Some(Box::default()),
-        };
+        let mut entry = JobEntry::new(record, self.book.take_sequence());
+        entry.group = Some(Box::default());
         let mut job = Job::new(entry, Arc::new([]));
         for (node, commands) in parts {
             let part = new_part(&job.entry, node, commands);
@@ -457,22 +443,7 @@ impl Fleet {
     /// Lets the start say what is due, and draws the conclusions.
     fn advance_start(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
         loop {
-            let Some(start) = self
-                .groups
-                .get_mut(id)
-                .and_then(|group| group.start.as_mut())
-            else {
-                return;
-            };
-            let mut said = Vec::new();
-            let clock = |node: &NodeId| {
-                let view = self.nodes.get(node).filter(|view| view.is_alive());
-                view.map(|view| view.clock())
-            };
-            let steps = start.poll(clock, self.now, |node, message| said.push((node, message)));
-            for (node, message) in said {
-                effects.push(self.start_message(&node, &message));
-            }
+            let steps = self.poll_start(id, true, effects);
             if steps.is_empty() {
                 return;
             }
@@ -602,24 +573,34 @@ impl Fleet {
     }
 
     fn advance_aborts(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
-        let Some(start) = self
-            .groups
-            .get_mut(id)
-            .and_then(|group| group.start.as_mut())
-        else {
-            return;
+        // Whatever was broken off says nothing but aborts, and asks no clock.
+        let steps = self.poll_start(id, false, effects);
+        debug_assert!(steps.is_empty(), "{steps:?}");
+    }
+
+    /// Says what is due in a job's start, and returns what follows from it; nothing without a start.
+    /// `with_clocks` lets it ask the clocks of nodes that are alive.
+    fn poll_start(
+        &mut self,
+        id: &JobId,
+        with_clocks: bool,
+        effects: &mut Vec<Effect>,
+    ) -> Vec<(u16, Step)> {
+        let group = self.groups.get_mut(id);
+        let Some(start) = group.and_then(|group| group.start.as_mut()) else {
+            return Vec::new();
         };
         let mut said = Vec::new();
-        // Whatever was broken off says nothing but aborts, and asks no clock.
-        let steps = start.poll(
-            |_| None,
-            self.now,
-            |node, message| said.push((node, message)),
-        );
-        debug_assert!(steps.is_empty(), "{steps:?}");
+        let clock = |node: &NodeId| {
+            let view = self.nodes.get(node);
+            let view = view.filter(|view| with_clocks && view.is_alive());
+            view.map(|view| view.clock())
+        };
+        let steps = start.poll(clock, self.now, |node, message| said.push((node, message)));
         for (node, message) in said {
             effects.push(self.start_message(&node, &message));
         }
+        steps
     }
 
     /// Takes the nodes' measurement into the record, and lets a record go that waits for it.

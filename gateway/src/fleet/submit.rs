@@ -161,14 +161,8 @@ impl Fleet {
         let total = prepared.commands.len() as u64;
         let mut record = new_record(id, Some(node), JobState::Queued, total, self.now);
         record.version += self.version_of_rejected(&id);
-        let entry = JobEntry {
-            record,
-            sequence: self.book.take_sequence(),
-            activation: None,
-            ending: None,
-            timeout_us: prepared.timeout_us,
-            group: None,
-        };
+        let mut entry = JobEntry::new(record, self.book.take_sequence());
+        entry.timeout_us = prepared.timeout_us;
         let job = Job::new(entry, prepared.commands.clone());
         self.book
             .insert(job, Some(prepared.stored.clone()), effects);
@@ -262,14 +256,7 @@ impl Fleet {
         record.group = group;
         record.parts = parts;
         record.error = Some(error);
-        let entry = JobEntry {
-            record,
-            sequence: self.book.take_sequence(),
-            activation: None,
-            ending: None,
-            timeout_us: None,
-            group: None,
-        };
+        let entry = JobEntry::new(record, self.book.take_sequence());
         self.book
             .insert(Job::new(entry, Arc::new([])), None, effects);
     }

@@ -85,6 +85,20 @@ pub struct JobEntry {
     pub group: Option<Box<GroupEntry>>,
 }
 
+impl JobEntry {
+    /// Of a job that is no node's yet and has no limit.
+    pub fn new(record: JobRecord, sequence: u64) -> Self {
+        Self {
+            record,
+            sequence,
+            activation: None,
+            ending: None,
+            timeout_us: None,
+            group: None,
+        }
+    }
+}
+
 /// A job as the fleet keeps it.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -300,14 +314,7 @@ mod tests {
     fn an_illegal_change_is_a_bug() {
         let id = JobId::new("a").expect("legal");
         let record = new_record(id, None, JobState::Succeeded, 1, FleetMicros(1));
-        let entry = JobEntry {
-            record,
-            sequence: 1,
-            activation: None,
-            ending: None,
-            timeout_us: None,
-            group: None,
-        };
-        Job::new(entry, Arc::new([])).change(Change::to(JobState::Running), FleetMicros(2));
+        Job::new(JobEntry::new(record, 1), Arc::new([]))
+            .change(Change::to(JobState::Running), FleetMicros(2));
     }
 }
