@@ -26,6 +26,12 @@ pub struct GatewayProcess {
     disk: BTreeMap<(Table, String), Vec<u8>>,
     waiting: VecDeque<Group>,
     starts: u64,
+    /// What its wall clock shows beyond the world's time, µs.
+    clock_ahead_us: i64,
+    /// The next commit fails.
+    disk_fails: bool,
+    /// It has ended by itself, and nobody has asked yet.
+    crashed: bool,
 }
 
 impl GatewayProcess {
@@ -37,6 +43,9 @@ impl GatewayProcess {
             disk: BTreeMap::new(),
             waiting: VecDeque::new(),
             starts: 0,
+            clock_ahead_us: 0,
+            disk_fails: false,
+            crashed: false,
         }
     }
 
@@ -61,16 +70,39 @@ impl GatewayProcess {
         }
         let mut effects = Vec::new();
         self.starts += 1;
+        self.disk_fails = false;
         let fleet = Fleet::restore(
             self.config.clone(),
             self.starts,
             stored,
-            FleetMicros(now_us),
+            self.clock(now_us),
             &mut effects,
         )
         .expect("a gateway can read its own disk");
         self.fleet = Some(fleet);
         self.wait_for_disk(effects, now_us, random);
+    }
+
+    /// Sets the wall clock that the next start reads, µs beyond the world's time: a computer
+    /// without a battery, or one that has just asked a time server.
+    pub fn set_clock_ahead(&mut self, us: i64) {
+        debug_assert!(!self.is_up(), "a gateway reads the wall clock once");
+        self.clock_ahead_us = us;
+    }
+
+    fn clock(&self, now_us: u64) -> FleetMicros {
+        FleetMicros(now_us.saturating_add_signed(self.clock_ahead_us))
+    }
+
+    /// Lets the next commit fail: the disk is full. None of it is written, none of what waited for
+    /// it is told, and the gateway ends.
+    pub fn fail_disk(&mut self) {
+        self.disk_fails = self.is_up();
+    }
+
+    /// Returns, once, that it has ended by itself.
+    pub fn take_crash(&mut self) -> bool {
+        std::mem::take(&mut self.crashed)
     }
 
     /// Kills it. Of what waited for the disk, some may have come so far without being told.
@@ -93,7 +125,8 @@ impl GatewayProcess {
             return Vec::new();
         };
         let mut effects = Vec::new();
-        fleet.handle(event, FleetMicros(now_us), &mut effects);
+        let now = FleetMicros(now_us.saturating_add_signed(self.clock_ahead_us));
+        fleet.handle(event, now, &mut effects);
         let (at_once, rest) = effects.into_iter().partition(|effect| {
             matches!(
                 effect,
@@ -131,7 +164,8 @@ impl GatewayProcess {
     pub fn next_at(&self) -> Option<u64> {
         let disk = self.waiting.front().map(|group| group.due_us);
         let fleet = self.fleet.as_ref().and_then(Fleet::poll_timeout);
-        [disk, fleet.map(|at| at.0)].into_iter().flatten().min()
+        let fleet = fleet.map(|at| at.0.saturating_add_signed(-self.clock_ahead_us));
+        [disk, fleet].into_iter().flatten().min()
     }
 
     /// Does what is due: the disk first.
@@ -143,6 +177,13 @@ impl GatewayProcess {
             .is_some_and(|group| group.due_us <= now_us)
         {
             let group = self.waiting.pop_front().expect("there is one");
+            let writes = |effect: &Effect| matches!(effect, Effect::Persist(_));
+            if self.disk_fails && group.effects.iter().any(writes) {
+                self.fleet = None;
+                self.waiting.clear();
+                self.crashed = true;
+                return done;
+            }
             for effect in group.effects {
                 match effect {
                     Effect::Persist(write) => self.write(write),
@@ -151,7 +192,7 @@ impl GatewayProcess {
             }
         }
         let due = self.fleet.as_ref().and_then(Fleet::poll_timeout);
-        if due.is_some_and(|due| due.0 <= now_us) {
+        if due.is_some_and(|due| due <= self.clock(now_us)) {
             done.extend(self.handle(Event::Tick, now_us, random));
         }
         done

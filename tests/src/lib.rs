@@ -12,11 +12,13 @@
 //! seed always gives the same run. [`World::verdict`] compares what clients were told, what nodes
 //! took and what the pins did: no command lost, doubled or half-taken.
 //!
-//! Start with `tests/seeds.rs` for a run, `network.rs` for what can go wrong.
+//! Start with `campaign.rs` for a run, `network.rs` for what can go wrong on the way.
 
+pub mod campaign;
 pub mod gateway_process;
 pub mod network;
 pub mod random;
+pub mod soak;
 pub mod verdict;
 pub mod world;
 

@@ -112,6 +112,19 @@ impl Faults {
         duplicate_per_mille: 0,
         reorder_per_mille: 0,
     };
+
+    /// A bad link as a seed draws it: up to 30 ms on the way, some messages doubled or overtaken.
+    pub fn drawn(random: &mut Random) -> Self {
+        Self {
+            delay: Delay::Uniform {
+                us_min: 200,
+                us_max: random.between(300, 30_000),
+            },
+            lose_per_mille: 0,
+            duplicate_per_mille: random.below(50),
+            reorder_per_mille: random.below(20),
+        }
+    }
 }
 
 /// A message on its way.
@@ -135,6 +148,8 @@ pub struct Network {
     numbers: u64,
     /// Nothing overtakes on one link in one direction, but for the faults.
     last_arrival: BTreeMap<(NodeId, bool), u64>,
+    /// Until when nothing arrives on one link in one direction.
+    stalled_until: BTreeMap<(NodeId, bool), u64>,
 }
 
 impl Network {
@@ -153,12 +168,13 @@ impl Network {
         if random.per_mille(faults.lose_per_mille) {
             return;
         }
+        let stalled_until_us = self.stalled_until_us(message.node, message.to_node);
         let held_until_us = faults.delay.held_until_us(message.node, self.seed, now_us);
         let last = self
             .last_arrival
             .entry((message.node, message.to_node))
             .or_default();
-        let mut at_us = now_us.max(held_until_us) + delay_us;
+        let mut at_us = now_us.max(held_until_us).max(stalled_until_us) + delay_us;
         if random.per_mille(faults.reorder_per_mille) {
             at_us += late_us;
         } else {
@@ -177,10 +193,34 @@ impl Network {
         self.numbers += 1;
     }
 
+    /// Lets nothing arrive on this link in this direction until then: its reader reads nothing, as
+    /// a peer does that is busy with something else. What is on its way waits, in order.
+    pub fn stall(&mut self, node: NodeId, to_node: bool, until_us: u64) {
+        self.stalled_until.insert((node, to_node), until_us);
+        let waits = |at_us: u64, message: &Message| {
+            at_us < until_us && message.node == node && message.to_node == to_node
+        };
+        let late: Vec<_> = self
+            .messages
+            .extract_if(.., |(at_us, _), message| waits(*at_us, message))
+            .collect();
+        for (_, message) in late {
+            self.insert(until_us, message);
+        }
+        let last = self.last_arrival.entry((node, to_node)).or_default();
+        *last = until_us.max(*last);
+    }
+
+    fn stalled_until_us(&self, node: NodeId, to_node: bool) -> u64 {
+        let until_us = self.stalled_until.get(&(node, to_node));
+        until_us.copied().unwrap_or(0)
+    }
+
     /// Forgets what is on its way from or to this node: its link is broken.
     pub fn cut(&mut self, node: NodeId) {
         self.messages.retain(|_, message| message.node != node);
         self.last_arrival.retain(|(of, _), _| *of != node);
+        self.stalled_until.retain(|(of, _), _| *of != node);
     }
 
     /// Returns when the next message arrives.

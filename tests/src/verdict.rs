@@ -8,20 +8,23 @@ use emulator::{
     record::{Life, TakenCommand},
 };
 use keys::{
-    AxisId, Command, JobId, QueueId,
-    record::{JobRecord, JobState},
+    AxisId, Command, JobId, NodeId, QueueId,
+    record::{JobRecord, JobResult, JobState},
 };
 use std::collections::BTreeMap;
 
 /// Numbers of commands are below this: a ramp carries its own in the remainder of its acceleration.
 const NUMBERS: u32 = 4_096;
 
+/// The work of one node: a job, or a node's part of a synchronized job.
+type Work = (JobId, Option<NodeId>);
+
 /// Jobs whose every command has a number of its own, so that it is known again at the node: the
 /// interval of a move, the remainder of the acceleration of a ramp or line, the position that is
 /// set.
 #[derive(Debug, Default)]
 pub struct Book {
-    jobs: BTreeMap<JobId, Vec<u32>>,
+    jobs: BTreeMap<Work, Vec<u32>>,
     next_number: u32,
 }
 
@@ -53,19 +56,51 @@ impl Book {
         &mut self,
         name: &str,
         count: usize,
-        mut make: impl FnMut(usize, u32) -> serde_json::Value,
+        make: impl FnMut(usize, u32) -> serde_json::Value,
     ) -> serde_json::Value {
+        let id = JobId::new(name).expect("legal");
+        let commands = self.work_of((id, None), count, make);
+        serde_json::json!({"id": name, "commands": commands})
+    }
+
+    /// Makes a synchronized job: a part of moves for each of the nodes.
+    ///
+    /// # Panics
+    /// The name is taken, or there are no more numbers.
+    pub fn group(&mut self, name: &str, parts: &[(&str, Vec<(u8, i32)>)]) -> serde_json::Value {
+        let id = JobId::new(name).expect("legal");
+        let mut nodes = serde_json::Map::new();
+        for (node, steps) in parts {
+            let work = (id, Some(NodeId::new(node).expect("legal")));
+            let commands = self.work_of(work, steps.len(), |index, number| {
+                let (axis, steps) = steps[index];
+                serde_json::json!({"move": {"axis": axis, "delay_us": number, "steps": steps}})
+            });
+            nodes.insert(
+                (*node).to_owned(),
+                serde_json::json!({"commands": commands}),
+            );
+        }
+        serde_json::json!({"id": name, "nodes": nodes, "max_skew_us": 100_000})
+    }
+
+    fn work_of(
+        &mut self,
+        work: Work,
+        count: usize,
+        mut make: impl FnMut(usize, u32) -> serde_json::Value,
+    ) -> Vec<serde_json::Value> {
         let numbers: Vec<u32> = (self.next_number..).take(count).collect();
         self.next_number += count as u32;
         assert!(self.next_number <= NUMBERS, "too many commands");
-        let commands: Vec<_> = numbers
+        let commands = numbers
             .iter()
             .enumerate()
             .map(|(index, number)| make(index, *number))
             .collect();
-        let id = JobId::new(name).expect("legal");
-        assert!(self.jobs.insert(id, numbers).is_none(), "the name is taken");
-        serde_json::json!({"id": name, "commands": commands})
+        let before = self.jobs.insert(work, numbers);
+        assert!(before.is_none(), "the name is taken");
+        commands
     }
 
     /// Returns an acceleration of about `accel_hz_per_s` that carries this number.
@@ -73,7 +108,7 @@ impl Book {
         accel_hz_per_s / NUMBERS * NUMBERS + number
     }
 
-    fn find(&self, command: &Command) -> Option<(JobId, usize)> {
+    fn find(&self, command: &Command) -> Option<(Work, usize)> {
         let number = match *command {
             Command::Move { delay_us, .. } => delay_us,
             Command::Ramp { ramp, .. } | Command::RampTo { ramp, .. } => {
@@ -83,9 +118,9 @@ impl Book {
             Command::SetPosition { position_steps, .. } => u32::try_from(position_steps).ok()?,
             _ => return None,
         };
-        self.jobs.iter().find_map(|(job, numbers)| {
+        self.jobs.iter().find_map(|(work, numbers)| {
             let index = numbers.binary_search(&number).ok()?;
-            Some((*job, index))
+            Some((*work, index))
         })
     }
 }
@@ -96,9 +131,7 @@ impl World {
     /// # Panics
     /// Something is wrong; the message says what.
     pub fn verdict(&self, book: &Book) -> u64 {
-        let mut taken: BTreeMap<JobId, usize> = BTreeMap::new();
-        let mut executed: BTreeMap<JobId, u64> = BTreeMap::new();
-        let mut ends: BTreeMap<JobId, Vec<i64>> = BTreeMap::new();
+        let mut went: BTreeMap<Work, Went> = BTreeMap::new();
         let mut count = 0;
         for (name, machine) in self.machines() {
             let present = machine.node.life();
@@ -117,16 +150,26 @@ impl World {
                     assert_eq!(command.number, *number, "node {name}: a gap in the queue");
                     *number += 1;
                     count += 1;
-                    let (job, index) = book.find(&command.command).expect("one of ours");
-                    let next = taken.entry(job).or_default();
+                    let end = place.after(command);
+                    if matches!(command.command, Command::Barrier { .. }) {
+                        // The start of a part, which its client did not write.
+                        continue;
+                    }
+                    let (work, index) = book.find(&command.command).expect("one of ours");
+                    let (job, part_of) = work;
+                    assert!(
+                        part_of.is_none_or(|node| node == *name),
+                        "node {name}: job {job}: a part of another node"
+                    );
+                    let went = went.entry(work).or_default();
                     assert_eq!(
-                        index, *next,
+                        index as u64, went.taken,
                         "node {name}: job {job}: lost or doubled command"
                     );
-                    *next += 1;
-                    ends.insert(job, place.after(command));
+                    went.taken += 1;
+                    went.end = end;
                     if command.number < executed_of(life, command.queue) {
-                        *executed.entry(job).or_default() += 1;
+                        went.executed += 1;
                     }
                 }
                 place.check(name.as_str());
@@ -139,36 +182,92 @@ impl World {
                 |pair: &[JobRecord]| pair[0].version < pair[1].version || pair[0] == pair[1];
             assert!(records.windows(2).all(grows), "job {job}: {records:?}");
             let last = records.last().expect("a list begins with its first entry");
-            let total = book.jobs[job].len() as u64;
-            let done = executed.get(job).copied().unwrap_or(0);
-            let went = taken.get(job).copied().unwrap_or(0) as u64;
-            match last.state {
-                JobState::Succeeded => {
-                    assert_eq!((went, done), (total, total), "job {job} succeeded");
-                    assert_eq!(last.progress.done, total, "job {job} succeeded");
-                    let result = last.result.as_ref().expect("what succeeded has a result");
-                    assert_eq!(Some(&result.position), ends.get(job), "job {job} succeeded");
-                }
-                JobState::Failed | JobState::TimedOut => {
-                    assert!(last.error.is_some(), "job {job} failed without a reason");
-                    assert!(last.progress.done <= done, "job {job}: more done than was");
-                }
-                JobState::Canceled => {
-                    assert!(last.progress.done <= done, "job {job}: more done than was");
-                }
-                JobState::Rejected => assert_eq!(went, 0, "job {job} was rejected"),
-                JobState::Queued | JobState::Sent | JobState::Running | JobState::Lost => {
-                    waiting.push((*job, last.state));
-                }
+            if !last.state.is_final() {
+                waiting.push((*job, last.state));
+            }
+            let whole = Told {
+                state: last.state,
+                done: last.progress.done,
+                has_error: last.error.is_some(),
+                result: last.result.as_ref(),
+            };
+            if last.group.is_none() {
+                check_end(book, &went, (*job, None), &whole);
+                continue;
+            }
+            for (node, part) in last.parts.iter().flatten() {
+                assert!(
+                    part.state.is_final() || !last.state.is_final(),
+                    "job {job} has ended and its part on {node} has not: {last:?}"
+                );
+                assert!(
+                    part.state == JobState::Succeeded || last.state != JobState::Succeeded,
+                    "job {job} succeeded and its part on {node} did not: {last:?}"
+                );
+                let part = Told {
+                    state: part.state,
+                    done: part.progress.done,
+                    // A part may end with the whole, whose error it is then.
+                    has_error: part.error.is_some() || last.error.is_some(),
+                    result: part.result.as_ref(),
+                };
+                check_end(book, &went, (*job, Some(*node)), &part);
             }
         }
         assert!(waiting.is_empty(), "jobs without an end: {waiting:?}");
-        for job in book.jobs.keys() {
+        for work in book.jobs.keys() {
+            let (job, _) = work;
             if !self.records.contains_key(job) {
-                assert_eq!(taken.get(job), None, "job {job} moved and has no record");
+                assert_eq!(went.get(work), None, "job {job} moved and has no record");
             }
         }
         count
+    }
+}
+
+/// What became of some work, as the nodes saw it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Went {
+    taken: u64,
+    executed: u64,
+    /// Where the last command that was taken leads.
+    end: Vec<i64>,
+}
+
+/// What a client was told of some work.
+struct Told<'r> {
+    state: JobState,
+    done: u64,
+    has_error: bool,
+    result: Option<&'r JobResult>,
+}
+
+fn check_end(book: &Book, went: &BTreeMap<Work, Went>, work: Work, told: &Told<'_>) {
+    let total = book.jobs[&work].len() as u64;
+    let none = Went::default();
+    let went = went.get(&work).unwrap_or(&none);
+    let (job, _) = work;
+    match told.state {
+        JobState::Succeeded => {
+            let counts = (went.taken, went.executed, told.done);
+            assert_eq!(counts, (total, total, total), "job {job} succeeded");
+            let result = told.result.expect("what succeeded has a result");
+            assert_eq!(result.position, went.end, "job {job} succeeded");
+        }
+        JobState::Failed | JobState::TimedOut | JobState::Canceled => {
+            assert!(
+                told.has_error || told.state == JobState::Canceled,
+                "job {job} failed without a reason"
+            );
+            assert!(
+                told.done <= went.executed,
+                "job {job}: {} done, it says; {} were",
+                told.done,
+                went.executed
+            );
+        }
+        JobState::Rejected => assert_eq!(went.taken, 0, "job {job} was rejected"),
+        JobState::Queued | JobState::Sent | JobState::Running | JobState::Lost => {}
     }
 }
 

@@ -75,6 +75,7 @@ pub struct World {
     pub faults: Faults,
     /// Where every random number comes from.
     pub random: Random,
+    recording: Recording,
     now_us: u64,
     keys: Keys,
     gateway: GatewayProcess,
@@ -96,6 +97,7 @@ impl World {
         let mut world = Self {
             faults: Faults::NONE,
             random: Random(seed),
+            recording: Recording::Edges { max: EDGES_MAX },
             now_us: EPOCH_US,
             gateway: GatewayProcess::new(FleetConfig::new(keys.clone())),
             keys,
@@ -121,9 +123,22 @@ impl World {
         world
     }
 
+    /// Sets what is recorded of nodes that are added from now on: everything by default, which a
+    /// life of hours has no room for.
+    pub fn set_recording(&mut self, recording: Recording) {
+        self.recording = recording;
+    }
+
+    /// Forgets the records of jobs that have ended, and answers that are complete.
+    pub fn forget_ended(&mut self) {
+        let has_end = |records: &Vec<JobRecord>| records.last().is_some_and(|r| r.state.is_final());
+        self.records.retain(|_, records| !has_end(records));
+        self.gets.retain(|_, answers| !answers.ended);
+    }
+
     /// Switches a node on whose clock is too fast by `drift_ppb`.
     pub fn add_node(&mut self, mut config: EmulatorConfig, drift_ppb: i64) {
-        config.record = Recording::Edges { max: EDGES_MAX };
+        config.record = self.recording;
         config.seed = self.random.number();
         let name = config.name;
         let offset_us = self.random.below(1 << 40);
@@ -288,6 +303,44 @@ impl World {
         machine.returns_at_us = Some(now_us + for_us);
     }
 
+    /// Restarts a router between the gateway and all nodes: every link is broken at once, and each
+    /// node comes back in its own time within `within_us` after `for_us`.
+    pub fn restart_router(&mut self, for_us: u64, within_us: u64) {
+        for name in self.names() {
+            let later_us = self.random.below(within_us);
+            self.break_link_of(name, for_us + later_us);
+        }
+    }
+
+    /// Lets a node neither hear nor be heard for this long, while its link stands: a channel that
+    /// is held, or a peer that reads nothing. What was sent arrives afterwards, in order.
+    pub fn stall(&mut self, node: &str, for_us: u64) {
+        let name = NodeId::new(node).expect("legal");
+        for to_node in [true, false] {
+            self.network.stall(name, to_node, self.now_us + for_us);
+        }
+    }
+
+    /// Lets a node's crystal change its rate to `drift_ppb`.
+    pub fn set_drift(&mut self, node: &str, drift_ppb: i64) {
+        let machine = self.machines.get_mut(&NodeId::new(node).expect("legal"));
+        let machine = machine.expect("a node");
+        machine.drift_ppb = drift_ppb;
+        machine.clock.set_drift(self.now_us, drift_ppb);
+    }
+
+    /// Lets the gateway's next write fail: the disk is full. It ends then, and starts again with
+    /// room on the disk.
+    pub fn fill_disk(&mut self) {
+        self.gateway.fail_disk();
+    }
+
+    /// Sets the wall clock that the gateway reads at its next start, µs beyond the world's time.
+    /// It must be down.
+    pub fn set_gateway_clock_ahead(&mut self, us: i64) {
+        self.gateway.set_clock_ahead(us);
+    }
+
     /// Cuts a node's power and lets it boot again; it is back after this long.
     pub fn reboot(&mut self, node: &str, after_us: u64) {
         let name = NodeId::new(node).expect("legal");
@@ -304,6 +357,10 @@ impl World {
     /// Kills the gateway, and with it the router; it starts again after this long.
     pub fn kill_gateway(&mut self, for_us: u64) {
         self.gateway.kill(&mut self.random);
+        self.lose_gateway(for_us);
+    }
+
+    fn lose_gateway(&mut self, for_us: u64) {
         self.returns_at_us = Some(self.now_us + for_us);
         self.gets
             .values_mut()
@@ -393,6 +450,10 @@ impl World {
         }
         let effects = self.gateway.poll(now_us, &mut self.random);
         self.carry_out(effects);
+        if self.gateway.take_crash() {
+            let for_us = self.random.below(2 * S);
+            self.lose_gateway(for_us);
+        }
     }
 
     fn step_link(&mut self, name: NodeId) {

@@ -109,15 +109,7 @@ fn path(random: &mut Random, book: &mut Book, name: &str) -> Value {
 fn run(seed: u64) -> (u64, usize) {
     let mut world = World::with_nodes(seed, &NODES);
     let mut random = Random(!seed);
-    world.faults = Faults {
-        delay: Delay::Uniform {
-            us_min: 200,
-            us_max: random.between(300, 30_000),
-        },
-        lose_per_mille: 0,
-        duplicate_per_mille: random.below(50),
-        reorder_per_mille: random.below(20),
-    };
+    world.faults = Faults::drawn(&mut random);
     let mut book = Book::new();
     let mut jobs = 0;
     for _ in 0..random.between(8, 20) {

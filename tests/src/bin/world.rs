@@ -1,0 +1,130 @@
+//! `cargo world`: any number of scenarios, or a long quiet life of a larger fleet.
+//!
+//! ```text
+//!   cargo world -- scenarios --count 100000          from seed 0, on all cores
+//!   cargo world -- scenarios --seed 4711             one, told in a line
+//!   cargo world -- soak --nodes 20 --hours 24        virtual hours; memory at each of them
+//! ```
+
+use clap::{Parser, Subcommand};
+use std::{
+    io::{self, Write},
+    panic,
+    process::ExitCode,
+    sync::atomic::{AtomicU64, Ordering},
+    sync::{Mutex, PoisonError},
+    thread,
+    time::Instant,
+};
+use tests::{
+    campaign::{self, Outcome},
+    soak::{self, Hour},
+};
+
+/// The fleet in a bottle, for as long as it takes.
+#[derive(Debug, Parser)]
+#[command(name = "world", max_term_width = 100)]
+struct Line {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Run scenarios in which everything fails, and judge each.
+    Scenarios {
+        /// How many.
+        #[arg(long, default_value_t = 100_000)]
+        count: u64,
+        /// The first seed.
+        #[arg(long, default_value_t = 0)]
+        from: u64,
+        /// Run this seed alone.
+        #[arg(long, conflicts_with_all = ["count", "from"])]
+        seed: Option<u64>,
+        /// How many at once [default: the cores of this machine].
+        #[arg(long)]
+        threads: Option<usize>,
+    },
+    /// Let a fleet work through virtual hours, and tell the memory of this process at each.
+    Soak {
+        /// How many nodes.
+        #[arg(long, default_value_t = 20)]
+        nodes: usize,
+        /// How many virtual hours.
+        #[arg(long, default_value_t = 24)]
+        hours: u64,
+        /// Where its random numbers come from.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
+}
+
+fn main() -> ExitCode {
+    match Line::parse().verb {
+        Verb::Scenarios {
+            seed: Some(seed), ..
+        } => {
+            let outcome = campaign::run_told(seed, |us, happening, node| {
+                println!("{:>10} ms  {happening:?} {node}", us / 1_000);
+            });
+            println!("seed {seed}: {outcome}");
+            ExitCode::SUCCESS
+        }
+        Verb::Scenarios {
+            count,
+            from,
+            threads,
+            ..
+        } => scenarios(from, count, threads),
+        Verb::Soak { nodes, hours, seed } => {
+            println!("{}", Hour::HEADER);
+            soak::run(nodes, hours, seed, |hour| {
+                println!("{hour}");
+                // A closed pipe ends nothing that has begun.
+                let _ = io::stdout().flush();
+            });
+            ExitCode::SUCCESS
+        }
+    }
+}
+
+fn scenarios(from: u64, count: u64, threads: Option<usize>) -> ExitCode {
+    let cores = || thread::available_parallelism().map_or(1, usize::from);
+    let threads = threads.unwrap_or_else(cores).max(1);
+    let begun = Instant::now();
+    let next = AtomicU64::new(from);
+    let all = Mutex::new((Outcome::default(), Vec::new()));
+    let work = || {
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= from + count {
+                return;
+            }
+            let outcome = panic::catch_unwind(|| campaign::run(seed));
+            let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+            match outcome {
+                Ok(outcome) => all.0 += outcome,
+                Err(_) => {
+                    eprintln!("seed {seed} failed: cargo world -- scenarios --seed {seed}");
+                    all.1.push(seed);
+                }
+            }
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(work);
+        }
+    });
+    let (outcome, failed) = all.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let seconds = begun.elapsed().as_secs();
+    println!("{count} scenarios in {seconds} s: {outcome}");
+    if failed.is_empty() {
+        println!("nothing lost, nothing doubled, every job has its end");
+        ExitCode::SUCCESS
+    } else {
+        println!("{} failed: {failed:?}", failed.len());
+        ExitCode::FAILURE
+    }
+}

@@ -1,0 +1,278 @@
+//! Scenarios: what a fleet goes through in a bad hour, drawn from a seed, and judged.
+//!
+//! [`run`] is one scenario: three nodes, jobs and synchronized jobs coming in, and whatever can fail
+//! failing meanwhile. Then everything is mended, and [`World::verdict`] must find that records,
+//! commands and pulses tell one story and that no job is left without an end.
+//!
+//! `tests/seeds.rs` runs the first of them with every test run; `cargo world` runs any number.
+
+use crate::{
+    Faults, Random, World,
+    verdict::Book,
+    world::{EPOCH_US, MS, S},
+};
+use keys::{StopMode, record::JobState};
+use std::{fmt, ops};
+
+/// The nodes of a scenario.
+pub const NODES: [&str; 3] = ["left", "middle", "right"];
+
+/// When everything is mended, every job has its end within this time, s.
+const PATIENCE_S: u64 = 64;
+
+/// What can happen in a scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Happening {
+    /// A job for one node; one of four clients hands it in twice.
+    Job,
+    /// A synchronized job for two or three nodes.
+    Group,
+    /// The link of one node breaks for up to 4 s.
+    Link,
+    /// Several links break at once, for up to 4 s.
+    Partition,
+    /// A router between gateway and nodes restarts: all links break.
+    Router,
+    /// A node neither hears nor is heard for up to 8 s while its link stands.
+    Stall,
+    /// A node loses its power for up to 2 s.
+    Reboot,
+    /// The gateway is killed, and with it what waited for its disk.
+    Kill,
+    /// The gateway is killed, and its wall clock is wrong by up to an hour at its next start.
+    WallClock,
+    /// The disk is full: the gateway ends by itself.
+    Disk,
+    /// A node's crystal changes its rate, to anything within ±100 ppm.
+    Drift,
+    /// A client stops one node, or all.
+    Stop,
+    /// A client lifts a node's latch.
+    Release,
+    /// A client cancels a job, which may have ended long ago.
+    Cancel,
+    /// Nothing.
+    Calm,
+}
+
+impl Happening {
+    /// All of them.
+    pub const ALL: [Self; 15] = [
+        Self::Job,
+        Self::Group,
+        Self::Link,
+        Self::Partition,
+        Self::Router,
+        Self::Stall,
+        Self::Reboot,
+        Self::Kill,
+        Self::WallClock,
+        Self::Disk,
+        Self::Drift,
+        Self::Stop,
+        Self::Release,
+        Self::Cancel,
+        Self::Calm,
+    ];
+
+    /// How often, of [`SHARES`].
+    const fn share(self) -> u64 {
+        match self {
+            Self::Job => 14,
+            Self::Group => 4,
+            Self::Cancel | Self::Stop | Self::Release | Self::Calm | Self::Link => 2,
+            _ => 1,
+        }
+    }
+
+    fn draw(random: &mut Random) -> Self {
+        let mut at = random.below(SHARES);
+        for happening in Self::ALL {
+            match at.checked_sub(happening.share()) {
+                Some(rest) => at = rest,
+                None => return happening,
+            }
+        }
+        unreachable!("the shares add up")
+    }
+}
+
+/// The sum of all shares.
+const SHARES: u64 = {
+    let (mut sum, mut index) = (0, 0);
+    while index < Happening::ALL.len() {
+        sum += Happening::ALL[index].share();
+        index += 1;
+    }
+    sum
+};
+
+/// What a scenario, or many, came to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Outcome {
+    /// Commands that nodes took.
+    pub commands: u64,
+    /// Jobs that clients handed in.
+    pub jobs: u64,
+    /// Of them, those that succeeded.
+    pub succeeded: u64,
+    /// How often each thing happened.
+    pub happened: [u64; Happening::ALL.len()],
+}
+
+impl ops::AddAssign for Outcome {
+    fn add_assign(&mut self, other: Self) {
+        self.commands += other.commands;
+        self.jobs += other.jobs;
+        self.succeeded += other.succeeded;
+        for (sum, more) in self.happened.iter_mut().zip(other.happened) {
+            *sum += more;
+        }
+    }
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            commands,
+            jobs,
+            succeeded,
+            happened,
+        } = self;
+        write!(
+            f,
+            "{jobs} jobs, {succeeded} succeeded, {commands} commands taken;"
+        )?;
+        for (happening, count) in Happening::ALL.iter().zip(happened) {
+            write!(f, " {happening:?} {count}")?;
+        }
+        Ok(())
+    }
+}
+
+fn any_node(random: &mut Random) -> &'static str {
+    NODES[random.below(NODES.len() as u64) as usize]
+}
+
+fn moves(random: &mut Random) -> Vec<(u8, i32)> {
+    let count = random.between(1, 40);
+    (0..count)
+        .map(|_| {
+            let steps = random.between(1, 60) as i32;
+            let sign = if random.below(2) == 0 { 1 } else { -1 };
+            (random.below(2) as u8, sign * steps)
+        })
+        .collect()
+}
+
+/// Runs one scenario.
+///
+/// # Panics
+/// Something is wrong in what was told, taken or played; the message says what.
+pub fn run(seed: u64) -> Outcome {
+    run_told(seed, |_, _, _| ())
+}
+
+/// Runs one scenario and tells what happens in it: when, µs since its beginning, what, and to which
+/// node if it concerns one.
+///
+/// # Panics
+/// See [`run`].
+pub fn run_told(seed: u64, mut tell: impl FnMut(u64, Happening, &str)) -> Outcome {
+    let mut world = World::with_nodes(seed, &NODES);
+    let mut random = Random(!seed);
+    world.faults = Faults::drawn(&mut random);
+    let mut book = Book::new();
+    let mut outcome = Outcome::default();
+    for _ in 0..random.between(8, 25) {
+        let happening = Happening::draw(&mut random);
+        outcome.happened[happening as usize] += 1;
+        let node = any_node(&mut random);
+        tell(world.now_us() - EPOCH_US, happening, node);
+        match happening {
+            Happening::Job => {
+                let job = book.job(&format!("job-{}", outcome.jobs), &moves(&mut random));
+                outcome.jobs += 1;
+                let _ = world.submit(node, &job);
+                if random.below(4) == 0 {
+                    // The client did not hear the receipt and asks again.
+                    let _ = world.submit(node, &job);
+                }
+            }
+            Happening::Group => {
+                let absent = random.below(NODES.len() as u64 + 1) as usize;
+                let members = (0..).zip(NODES).filter(|(index, _)| *index != absent);
+                let parts: Vec<_> = members
+                    .map(|(_, node)| (node, moves(&mut random)))
+                    .collect();
+                let job = book.group(&format!("job-{}", outcome.jobs), &parts);
+                outcome.jobs += 1;
+                let _ = world.submit_group("table", &job);
+            }
+            Happening::Link => world.break_link(node, random.between(1, 4_000) * MS),
+            Happening::Partition => {
+                for node in NODES {
+                    if random.below(2) == 0 {
+                        world.break_link(node, random.between(1, 4_000) * MS);
+                    }
+                }
+            }
+            Happening::Router => world.restart_router(random.between(1, 1_000) * MS, 2 * S),
+            Happening::Stall => world.stall(node, random.between(1, 8_000) * MS),
+            Happening::Reboot => world.reboot(node, random.between(1, 2_000) * MS),
+            Happening::Kill => world.kill_gateway(random.between(1, 3_000) * MS),
+            Happening::WallClock => {
+                world.kill_gateway(random.between(1, 3_000) * MS);
+                let ahead_us = random.between(0, 7_200 * S) as i64 - 3_600 * S as i64;
+                world.set_gateway_clock_ahead(ahead_us);
+            }
+            Happening::Disk => world.fill_disk(),
+            Happening::Drift => {
+                let ppb = random.between(0, 200_000) as i64 - 100_000;
+                world.set_drift(node, ppb);
+            }
+            Happening::Stop => {
+                let mode = if random.below(2) == 0 {
+                    StopMode::Halt
+                } else {
+                    StopMode::Decelerate
+                };
+                if random.below(4) == 0 {
+                    NODES.iter().for_each(|node| world.stop(node, mode));
+                } else {
+                    world.stop(node, mode);
+                }
+            }
+            Happening::Release => {
+                let _ = world.release(node);
+            }
+            Happening::Cancel if outcome.jobs > 0 => {
+                let _ = world.cancel(&format!("job-{}", random.below(outcome.jobs)));
+            }
+            Happening::Cancel | Happening::Calm => {}
+        }
+        world.run_for(random.below(400 * MS));
+    }
+    // The faults end, the latches are lifted, and everything comes to its end.
+    world.faults = Faults::NONE;
+    for _ in 0..3 {
+        world.run_for(4 * S);
+        for node in NODES {
+            let _ = world.release(node);
+        }
+    }
+    // A start behind a link that was held for seconds is planned seconds ahead.
+    for _ in 0..PATIENCE_S / 8 {
+        world.run_for(8 * S);
+        let mut records = world.records.values().filter_map(|records| records.last());
+        if records.all(|record| record.state.is_final()) {
+            break;
+        }
+    }
+    outcome.commands = world.verdict(&book);
+    let last = world.records.values().filter_map(|records| records.last());
+    outcome.succeeded = last
+        .filter(|record| record.state == JobState::Succeeded)
+        .count() as u64;
+    outcome
+}
