@@ -1,10 +1,16 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use keys::Keys;
+use keys::{Keys, credentials::Credentials};
 use std::path::PathBuf;
 
-/// Where the gateway's router listens when nothing else is said: every interface, zenoh's port.
-pub const LISTEN_DEFAULT: &str = "tcp/0.0.0.0:7447";
+/// Where the gateway's router listens when nothing else is said: this machine only, zenoh's port.
+/// Whoever can connect to an unsecured fleet can move it; so that it is reached from elsewhere, its
+/// operator has to say so.
+pub const LISTEN_DEFAULT: &str = "tcp/127.0.0.1:7447";
+
+/// Where the router of a secured fleet listens when nothing else is said: every interface, people by
+/// TLS and nodes by TCP.
+pub const LISTEN_SECURE_DEFAULT: [&str; 2] = ["tls/0.0.0.0:7447", "tcp/0.0.0.0:7448"];
 
 /// The entry of a users file under which the gateway itself connects when nothing else is said.
 pub const GATEWAY_USER_DEFAULT: &str = "gateway";
@@ -20,29 +26,11 @@ pub const STALLED_PEER_US: u64 = 1_000_000;
 /// Zenoh's default is 1 GiB, for every link.
 pub const MESSAGE_BYTES_MAX: usize = keys::job::JOB_BYTES_MAX + (1 << 20);
 
-/// Name and password of a client of a router that asks for them.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Credentials {
-    /// The name.
-    pub user: String,
-    /// The password.
-    pub password: String,
-}
-
-impl std::fmt::Debug for Credentials {
-    /// Leaves the password out.
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Credentials")
-            .field("user", &self.user)
-            .finish_non_exhaustive()
-    }
-}
-
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct GatewayConfig {
-    /// Where the gateway's own router listens, `tcp/HOST:PORT`; [`LISTEN_DEFAULT`] by default.
-    /// With port 0 the system chooses one, see [`crate::service::Service::locators`]. Of no
+    /// Where the gateway's own router listens, `tcp/HOST:PORT` or, with `secure`, also
+    /// `tls/HOST:PORT`. Empty by default: [`LISTEN_DEFAULT`] or [`LISTEN_SECURE_DEFAULT`]. With port 0 the system chooses one, see [`crate::service::Service::locators`]. Of no
     /// meaning together with `connect`.
     pub listen: Vec<String>,
     /// Routers of a zenoh network to join as a client, `tcp/HOST:PORT`. Empty by default: the
@@ -55,8 +43,12 @@ pub struct GatewayConfig {
     /// Lines `NAME:PASSWORD`: who may connect to the gateway's own router. `None` by default:
     /// everybody.
     pub users: Option<PathBuf>,
+    /// The folder of a secured fleet, see [`crate::security`]. `None` by default: everybody may
+    /// connect, or those of `users`, and whoever is connected may do everything.
+    pub secure: Option<PathBuf>,
     /// As whom the gateway connects: to the network of `connect`, or, with `users`, to its own
-    /// router. `None` by default: with `users` the entry [`GATEWAY_USER_DEFAULT`] of that file.
+    /// router. `None` by default: with `users` the entry [`GATEWAY_USER_DEFAULT`] of that file, with
+    /// `secure` that of the folder.
     pub credentials: Option<Credentials>,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
@@ -67,13 +59,27 @@ impl GatewayConfig {
     /// Returns the defaults with this store.
     pub fn new(store: impl Into<PathBuf>) -> Self {
         Self {
-            listen: vec![LISTEN_DEFAULT.to_owned()],
+            listen: Vec::new(),
             connect: Vec::new(),
             store: store.into(),
             keys: Keys::default(),
             users: None,
+            secure: None,
             credentials: None,
             scouting: false,
         }
+    }
+
+    /// Returns where the own router listens.
+    pub fn listen(&self) -> Vec<String> {
+        let defaults: &[&str] = match self.secure {
+            _ if !self.listen.is_empty() => return self.listen.clone(),
+            None => &[LISTEN_DEFAULT],
+            Some(_) => &LISTEN_SECURE_DEFAULT,
+        };
+        defaults
+            .iter()
+            .map(|locator| (*locator).to_owned())
+            .collect()
     }
 }

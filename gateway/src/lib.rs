@@ -17,4 +17,5 @@ pub mod config;
 pub mod fleet;
 pub mod job;
 pub mod journal;
+pub mod security;
 pub mod service;

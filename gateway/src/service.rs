@@ -122,7 +122,7 @@ impl Service {
     /// See [`ServiceError`].
     pub async fn start(config: GatewayConfig) -> Result<Self, ServiceError> {
         // Before anything is written: an address that cannot be meant.
-        for locator in config.listen.iter().chain(&config.connect) {
+        for locator in config.listen().iter().chain(&config.connect) {
             crate::bus::zenoh::host_and_port(locator)?;
         }
         let clock = WallClock::start();

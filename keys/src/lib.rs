@@ -21,6 +21,8 @@ extern crate std;
 pub mod batch;
 pub mod clock;
 pub mod command;
+#[cfg(feature = "json")]
+pub mod credentials;
 pub mod ids;
 #[cfg(feature = "json")]
 pub mod job;

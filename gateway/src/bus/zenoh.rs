@@ -22,12 +22,12 @@ use super::{
     ear::{Door, Ear, Gets, refuse},
 };
 use crate::{
-    config::{
-        Credentials, GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US,
-    },
+    config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
     fleet::event::{Lane, ReplyTo},
+    security::{Home, HomeError},
 };
-use keys::{Keys, NodeTopic, Topic, record::JobError};
+use base64::Engine as _;
+use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError};
 use std::{
     net::{SocketAddr, TcpListener},
     path::PathBuf,
@@ -80,8 +80,11 @@ impl Payload {
 #[derive(Debug, Error)]
 pub enum BusError {
     /// A locator is not of the form `tcp/HOST:PORT`.
-    #[error("{0:?} is no address of the form tcp/HOST:PORT")]
+    #[error("{0:?} is no address of the form tcp/HOST:PORT (or tls/HOST:PORT in a secured fleet)")]
     Locator(String),
+    /// The folder of a secured fleet cannot be used.
+    #[error(transparent)]
+    Secure(#[from] HomeError),
     /// The router cannot listen.
     #[error("cannot listen on {listen}: {reason}")]
     Listen {
@@ -151,13 +154,18 @@ impl Bus {
     /// See [`BusError`].
     pub async fn open(config: &GatewayConfig) -> Result<Self, BusError> {
         let own_router = config.connect.is_empty();
-        let credentials = match (&config.credentials, &config.users) {
-            (Some(given), _) => Some(given.clone()),
-            (None, Some(file)) => Some(gateway_entry(file)?),
-            (None, None) => None,
+        let home = match &config.secure {
+            Some(folder) if own_router => Some(Home::open(folder)?),
+            _ => None,
+        };
+        let credentials = match (&config.credentials, &config.users, &home) {
+            (Some(given), _, _) => Some(given.clone()),
+            (None, Some(file), _) => Some(gateway_entry(file)?),
+            (None, None, Some(home)) => Some(home.gateway()),
+            (None, None, None) => None,
         };
         let (main, locators) = if own_router {
-            open_router(config).await?
+            open_router(config, home.as_ref()).await?
         } else {
             let main = open_client(&config.connect, credentials.as_ref()).await?;
             (main, config.connect.clone())
@@ -427,12 +435,15 @@ fn json<T: serde::Serialize + ?Sized>(value: &T) -> String {
 }
 
 /// Opens a session in router mode. Returns where it listens.
-async fn open_router(config: &GatewayConfig) -> Result<(Session, Vec<String>), BusError> {
+async fn open_router(
+    config: &GatewayConfig,
+    home: Option<&Home>,
+) -> Result<(Session, Vec<String>), BusError> {
+    let wanted = config.listen();
     let mut attempts = 0;
     loop {
         attempts += 1;
-        let listen = config
-            .listen
+        let listen = wanted
             .iter()
             .map(|locator| with_port(locator))
             .collect::<Result<Vec<_>, _>>()?;
@@ -453,10 +464,14 @@ async fn open_router(config: &GatewayConfig) -> Result<(Session, Vec<String>), B
             let file = json(&users.to_string_lossy());
             pairs.push(("transport/auth/usrpwd/dictionary_file", file));
         }
+        if let Some(home) = home {
+            let settings = home.router_settings(&config.keys)?.into_iter();
+            pairs.extend(settings.map(|(key, value)| (key, value.to_string())));
+        }
         match zenoh::open(settings(&pairs)?).await {
             Ok(session) => return Ok((session, listen)),
             // Between choosing a port and listening on it somebody else may have taken it.
-            Err(_) if listen != config.listen && attempts < PORT_ATTEMPTS_MAX => {}
+            Err(_) if listen != wanted && attempts < PORT_ATTEMPTS_MAX => {}
             Err(error) => {
                 return Err(BusError::Listen {
                     listen: listen.join(", "),
@@ -494,6 +509,10 @@ async fn open_client(
             "transport/auth/usrpwd/password",
             json(&credentials.password),
         ));
+        if let Some(ca) = &credentials.ca {
+            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
+            pairs.push(("transport/link/tls/root_ca_certificate_base64", json(&ca)));
+        }
     }
     zenoh::open(settings(&pairs)?)
         .await
@@ -503,19 +522,20 @@ async fn open_client(
         })
 }
 
-pub(crate) fn host_and_port(locator: &str) -> Result<(&str, u16), BusError> {
+/// Takes a locator apart: protocol, host, port.
+pub(crate) fn host_and_port(locator: &str) -> Result<(&str, &str, u16), BusError> {
     let bad = || BusError::Locator(locator.to_owned());
-    let address = locator.strip_prefix("tcp/").ok_or_else(bad)?;
+    let (protocol, address) = locator.split_once('/').ok_or_else(bad)?;
     let (host, port) = address.rsplit_once(':').ok_or_else(bad)?;
-    if host.is_empty() {
+    if host.is_empty() || !matches!(protocol, "tcp" | "tls") {
         return Err(bad());
     }
-    Ok((host, port.parse().map_err(|_| bad())?))
+    Ok((protocol, host, port.parse().map_err(|_| bad())?))
 }
 
 /// Returns the locator with a port that is free now in place of 0.
 fn with_port(locator: &str) -> Result<String, BusError> {
-    let (host, port) = host_and_port(locator)?;
+    let (protocol, host, port) = host_and_port(locator)?;
     if port != 0 {
         return Ok(locator.to_owned());
     }
@@ -525,15 +545,17 @@ fn with_port(locator: &str) -> Result<String, BusError> {
             listen: locator.to_owned(),
             reason: error.to_string(),
         })?;
-    Ok(format!("tcp/{host}:{}", free.port()))
+    Ok(format!("{protocol}/{host}:{}", free.port()))
 }
 
 /// Returns how this process reaches a locator that it listens on.
 fn reachable(locator: &str) -> String {
-    let Some(address) = locator.strip_prefix("tcp/") else {
+    let Some((protocol, address)) = locator.split_once('/') else {
         return locator.to_owned();
     };
     match address.parse::<SocketAddr>() {
+        // The name that is in every certificate that `fleet init` makes.
+        Ok(address) if protocol == "tls" => format!("tls/localhost:{}", address.port()),
         Ok(address) if address.ip().is_unspecified() => match address {
             SocketAddr::V4(address) => format!("tcp/127.0.0.1:{}", address.port()),
             SocketAddr::V6(address) => format!("tcp/[::1]:{}", address.port()),
@@ -553,8 +575,10 @@ fn gateway_entry(file: &PathBuf) -> Result<Credentials, BusError> {
         .filter_map(|line| line.split_once(':'))
         .find(|(user, _)| user.trim() == GATEWAY_USER_DEFAULT)
         .map(|(user, password)| Credentials {
+            connect: Vec::new(),
             user: user.trim().to_owned(),
             password: password.trim().to_owned(),
+            ca: None,
         })
         .ok_or_else(|| {
             users(format!(
@@ -583,7 +607,7 @@ mod tests {
         }
         assert_eq!(
             host_and_port("tcp/[::]:7447").expect("legal"),
-            ("[::]", 7447)
+            ("tcp", "[::]", 7447)
         );
     }
 
@@ -612,5 +636,6 @@ mod tests {
         assert_eq!(reachable("tcp/[::]:7447"), "tcp/[::1]:7447");
         assert_eq!(reachable("tcp/10.0.0.1:1"), "tcp/10.0.0.1:1");
         assert_eq!(reachable("tcp/plant:1"), "tcp/plant:1");
+        assert_eq!(reachable("tls/0.0.0.0:7447"), "tls/localhost:7447");
     }
 }

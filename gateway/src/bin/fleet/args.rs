@@ -38,6 +38,17 @@ pub(crate) struct Common {
     #[arg(long, global = true, default_value = keys::key::PREFIX_DEFAULT, value_parser = prefix)]
     pub(crate) prefix: keys::Keys,
 
+    /// File that `fleet users` made: where to connect, as whom, and whom to trust. Nobody but you
+    /// may be able to read it.
+    #[arg(
+        long,
+        global = true,
+        value_name = "FILE",
+        env = "FLEET_CREDENTIALS",
+        conflicts_with = "user"
+    )]
+    pub(crate) credentials: Option<PathBuf>,
+
     /// User for a router that asks.
     #[arg(long, global = true, requires = "password_file")]
     pub(crate) user: Option<String>,
@@ -61,10 +72,28 @@ pub(crate) enum Verb {
     #[command(after_help = "\
 Examples:
   fleet serve
-  fleet serve --listen tcp/0.0.0.0:7447 --store /var/lib/fleet.redb
-  fleet serve --users users.txt            # lines NAME:PASSWORD, one of them `gateway`
+  fleet serve --store /var/lib/fleet.redb
+  fleet serve --listen tcp/0.0.0.0:7447    # unsecured, and open to the whole network
+  fleet serve --secure /etc/fleet          # TLS, passwords and roles; see `fleet init`
   fleet serve --connect tcp/router:7447    # join an existing zenoh network")]
     Serve(Serve),
+
+    /// Make a secured fleet: TLS with its own authority, users with roles, everything else denied.
+    #[command(after_help = "\
+Examples:
+  fleet init /etc/fleet --host plant.local --host 192.168.1.5
+  fleet serve --secure /etc/fleet
+  fleet --credentials /etc/fleet/operator.json nodes")]
+    Init(Init),
+
+    /// Add, revoke and list the users of a secured fleet.
+    #[command(after_help = "\
+Examples:
+  fleet users /etc/fleet add alice --role viewer
+  fleet users /etc/fleet add left --role node
+  fleet users /etc/fleet revoke alice
+  fleet users /etc/fleet list")]
+    Users(Users),
 
     /// List the nodes.
     #[command(after_help = "Examples:\n  fleet nodes\n  fleet nodes --json | jq -r .node")]
@@ -125,7 +154,9 @@ Examples:
 #[derive(Debug, Args)]
 pub(crate) struct Serve {
     /// Where the router listens; may be given several times. Port 0: the system chooses one.
-    #[arg(long, value_name = "tcp/HOST:PORT", default_value = gateway::config::LISTEN_DEFAULT)]
+    /// [default: tcp/127.0.0.1:7447; with --secure: tls/0.0.0.0:7447 for people and
+    /// tcp/0.0.0.0:7448 for nodes]
+    #[arg(long, value_name = "tcp/HOST:PORT")]
     pub(crate) listen: Vec<String>,
 
     /// File of jobs and nodes; made if it is not there.
@@ -137,9 +168,62 @@ pub(crate) struct Serve {
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
     pub(crate) users: Option<PathBuf>,
 
+    /// Folder of a secured fleet, made by `fleet init`.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["connect", "users"])]
+    pub(crate) secure: Option<PathBuf>,
+
     /// Look for other zenoh routers by multicast, and let yourself be found.
     #[arg(long)]
     pub(crate) scouting: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Init {
+    /// Where; made if it is not there, and readable by you only.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+
+    /// Name or address under which clients and nodes reach the gateway's machine; may be given
+    /// several times. `localhost` is always one.
+    #[arg(long = "host", value_name = "NAME")]
+    pub(crate) hosts: Vec<String>,
+
+    /// The first operator.
+    #[arg(long, value_name = "NAME", default_value = "operator", value_parser = node_id)]
+    pub(crate) operator: NodeId,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Users {
+    /// Folder of the fleet.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+
+    #[command(subcommand)]
+    pub(crate) act: UsersAct,
+}
+
+/// What to do with users. All of it counts from the gateway's next start.
+#[derive(Debug, Subcommand)]
+pub(crate) enum UsersAct {
+    /// Add one, and write the credentials to hand out to DIR/NAME.json.
+    Add {
+        /// Name; a node's is its own.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+        /// `operator` hands in, cancels, stops and releases; `viewer` looks on and stops; `node` is
+        /// the node of that name.
+        #[arg(long)]
+        role: gateway::security::Role,
+    },
+    /// Take one away.
+    Revoke {
+        /// Name.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+    },
+    /// List them.
+    List,
 }
 
 #[derive(Debug, Args)]

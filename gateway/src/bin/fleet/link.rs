@@ -1,9 +1,11 @@
 //! An ordinary zenoh client: the command line speaks to the fleet as anybody else would.
 
 use crate::args::{CONNECT_DEFAULT, Common};
-use gateway::config::Credentials;
+use base64::Engine as _;
+use gateway::security::home::read_secret;
 use keys::{
     Keys, NodeId, Topic,
+    credentials::Credentials,
     record::{ErrorReply, JobError},
 };
 use serde::de::DeserializeOwned;
@@ -86,15 +88,26 @@ pub(crate) struct Link {
     timeout: Duration,
 }
 
-/// Reads `--user` and `--password-file`.
+/// Reads `--credentials`, or `--user` and `--password-file`.
 pub(crate) fn credentials(common: &Common) -> Result<Option<Credentials>, Failure> {
+    if let Some(file) = &common.credentials {
+        let usage = |error: String| Failure::Usage(format!("--credentials: {error}"));
+        let text = read_secret(file).map_err(|error| usage(error.to_string()))?;
+        let read = Credentials::from_json(&text);
+        let name = file.display();
+        return read
+            .map(Some)
+            .map_err(|error| usage(format!("{name}: {error}")));
+    }
     let (Some(user), Some(file)) = (&common.user, &common.password_file) else {
         return Ok(None);
     };
     let password = read_password(file)?;
     Ok(Some(Credentials {
+        connect: Vec::new(),
         user: user.clone(),
         password,
+        ca: None,
     }))
 }
 
@@ -113,8 +126,12 @@ fn read_password(file: &Path) -> Result<String, Failure> {
 impl Link {
     /// Connects as a client.
     pub(crate) async fn open(common: &Common) -> Result<Self, Failure> {
-        let connect = common.connect.as_deref().unwrap_or(CONNECT_DEFAULT);
         let credentials = credentials(common)?;
+        let named = credentials.as_ref().and_then(|read| read.connect.first());
+        let connect = common.connect.as_deref();
+        let connect = connect
+            .or(named.map(String::as_str))
+            .unwrap_or(CONNECT_DEFAULT);
         Self::connect(
             connect,
             common.prefix.clone(),
@@ -138,8 +155,11 @@ impl Link {
                 .insert_json5(key, &value)
                 .map_err(|error| Failure::Usage(format!("--connect {connect}: {error}")))
         };
-        if !connect.starts_with("tcp/") || !connect.contains(':') {
-            let message = format!("--connect {connect}: an address has the form tcp/HOST:PORT");
+        let known = connect.starts_with("tcp/") || connect.starts_with("tls/");
+        if !known || !connect.contains(':') {
+            let message = format!(
+                "--connect {connect}: an address has the form tcp/HOST:PORT or tls/HOST:PORT"
+            );
             return Err(Failure::Usage(message));
         }
         set("mode", text("client"))?;
@@ -151,6 +171,10 @@ impl Link {
                 "transport/auth/usrpwd/password",
                 text(&credentials.password),
             )?;
+            if let Some(ca) = &credentials.ca {
+                let ca = base64::prelude::BASE64_STANDARD.encode(ca);
+                set("transport/link/tls/root_ca_certificate_base64", text(&ca))?;
+            }
         }
         let no_connection = |why: &str| {
             let whom = match credentials {

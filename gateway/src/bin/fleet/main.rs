@@ -8,6 +8,7 @@ mod args;
 mod demo;
 mod follow;
 mod link;
+mod secure;
 mod serve;
 mod show;
 mod stop;
@@ -48,6 +49,8 @@ async fn main() -> ExitCode {
 async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
     match verb {
         Verb::Serve(serve) => return serve::serve(common, serve).await,
+        Verb::Init(init) => return secure::init(init, common.json),
+        Verb::Users(users) => return secure::users(users, common.json),
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
         _ => {}
@@ -69,7 +72,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             stop::stop(&link, &stop.pattern, mode, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) => unreachable!("done above"),
+        Verb::Serve(_) | Verb::Init(_) | Verb::Users(_) => unreachable!("done above"),
         #[cfg(feature = "demo")]
         Verb::Demo => unreachable!("done above"),
     };

@@ -18,11 +18,13 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
         connect: common.connect.iter().cloned().collect(),
         keys: common.prefix.clone(),
         users: serve.users.clone(),
+        secure: serve.secure.clone(),
         credentials: credentials(common)?,
         scouting: serve.scouting,
         ..GatewayConfig::new(&serve.store)
     };
     let joined = common.connect.is_some();
+    let open = config.secure.is_none();
     let json = common.json;
     let ready = move |locators: &[String]| {
         if json {
@@ -34,13 +36,18 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
             show::line(&format!("the gateway is ready, connected to {locators}"));
         } else {
             show::line(&format!("the gateway is ready, listening on {locators}"));
+            if open {
+                show::line(
+                    "unsecured: whoever can connect can move the machines; `fleet init` makes a secured fleet",
+                );
+            }
         }
     };
     match service::run(config, ready, terminated()).await {
         Ok(()) => Ok(()),
-        Err(ServiceError::Bus(error @ (BusError::Locator(_) | BusError::Users { .. }))) => {
-            Err(Failure::Usage(error.to_string()))
-        }
+        Err(ServiceError::Bus(
+            error @ (BusError::Locator(_) | BusError::Users { .. } | BusError::Secure(_)),
+        )) => Err(Failure::Usage(error.to_string())),
         Err(ServiceError::Bus(error @ BusError::Connect { .. })) => {
             Err(Failure::Connection(error.to_string()))
         }

@@ -1,0 +1,103 @@
+//! `fleet init` and `fleet users`: who may connect to a secured fleet.
+
+use crate::{
+    args::{Init, Users, UsersAct},
+    link::Failure,
+    show,
+};
+use gateway::security::{
+    Home, HomeError, Role,
+    home::{NODES_PORT, TLS_PORT},
+};
+use std::path::Path;
+
+impl From<HomeError> for Failure {
+    fn from(error: HomeError) -> Self {
+        Self::Usage(error.to_string())
+    }
+}
+
+/// `fleet init`
+pub(crate) fn init(init: &Init, json: bool) -> Result<(), Failure> {
+    let mut home = Home::init(&init.folder, &init.hosts)?;
+    let file = home.add(init.operator, Role::Operator)?;
+    let folder = init.folder.display();
+    if json {
+        let made = serde_json::json!({"folder": init.folder, "credentials": file});
+        show::line(&made.to_string());
+        return Ok(());
+    }
+    show::line(&format!(
+        "made the secured fleet {folder}; its secrets are readable by you only"
+    ));
+    show::line(&format!(
+        "  people connect by tls, port {TLS_PORT}; nodes by tcp, port {NODES_PORT}"
+    ));
+    show::line(&format!("  fleet serve --secure {folder}"));
+    show::line(&format!("  fleet --credentials {} nodes", file.display()));
+    show::line(&format!(
+        "  fleet users {folder} add NAME --role operator|viewer|node"
+    ));
+    Ok(())
+}
+
+/// `fleet users`
+pub(crate) fn users(users: &Users, json: bool) -> Result<(), Failure> {
+    let mut home = Home::open(&users.folder)?;
+    match &users.act {
+        UsersAct::Add {
+            role: Role::Gateway,
+            ..
+        } => Err(Failure::Usage(
+            "there is one gateway, and `fleet init` made it".into(),
+        )),
+        UsersAct::Add { name, role } => {
+            let file = home.add(*name, *role)?;
+            if json {
+                let added =
+                    serde_json::json!({"user": name, "role": role.as_str(), "credentials": file});
+                show::line(&added.to_string());
+                return Ok(());
+            }
+            show::line(&format!(
+                "{name} may connect as {role} from the gateway's next start"
+            ));
+            say_where(&file, *role);
+            Ok(())
+        }
+        UsersAct::Revoke { name } => {
+            home.revoke(name)?;
+            if json {
+                show::line(&serde_json::json!({"revoked": name}).to_string());
+            } else {
+                show::line(&format!(
+                    "{name} may not connect any more from the gateway's next start"
+                ));
+            }
+            Ok(())
+        }
+        UsersAct::List => {
+            for user in home.users() {
+                if json {
+                    let told = serde_json::json!({"user": user.name, "role": user.role.as_str()});
+                    show::line(&told.to_string());
+                } else {
+                    show::line(&format!("{:<32} {}", user.name.as_str(), user.role));
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+fn say_where(file: &Path, role: Role) {
+    let file = file.display();
+    match role {
+        Role::Node => show::line(&format!(
+            "  user and password for its configuration: {file}"
+        )),
+        _ => show::line(&format!(
+            "  hand out {file}: fleet --credentials {file} nodes"
+        )),
+    }
+}

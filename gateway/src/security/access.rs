@@ -1,0 +1,231 @@
+//! What each role may say and hear, as the router's access rules. Whatever is not named is denied.
+//!
+//! | | says | hears |
+//! |---|---|---|
+//! | operator | jobs, cancels, stops, releases | states, statuses, records, logs |
+//! | viewer | stops | the same |
+//! | node | its own status, ack, clock, start, log | its own orders, and every stop |
+//! | gateway | everything | everything |
+//!
+//! A node cannot speak as another, whatever key it uses: rules go by the name under which it
+//! authenticated. People are let in by TLS only; a node also by plain TCP, where its password is not
+//! sent (it answers a challenge) but what it says can be read.
+
+use super::users::{Role, User};
+use keys::{Keys, NodeId, NodeTopic};
+use serde_json::{Value, json};
+
+/// What a node says.
+const SAID: [NodeTopic; 5] = [
+    NodeTopic::Status,
+    NodeTopic::Ack,
+    NodeTopic::Clock,
+    NodeTopic::Start,
+    NodeTopic::Log,
+];
+
+/// What a node hears.
+const HEARD: [NodeTopic; 5] = [
+    NodeTopic::Batch,
+    NodeTopic::Stop,
+    NodeTopic::Release,
+    NodeTopic::Clock,
+    NodeTopic::Start,
+];
+
+/// What everybody may follow.
+const FOLLOWED: [NodeTopic; 4] = [
+    NodeTopic::State,
+    NodeTopic::Status,
+    NodeTopic::Log,
+    NodeTopic::Stop,
+];
+
+const EVERYTHING: [&str; 9] = [
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+];
+
+/// Returns zenoh's setting `access_control` for these users.
+pub fn access_control(keys: &Keys, users: &[User]) -> Value {
+    let mut rules = Rules::default();
+    let all = format!("{}/**", keys.prefix());
+    rules.add(
+        "gateway",
+        &["ingress", "egress"],
+        &EVERYTHING,
+        vec![all.clone()],
+    );
+
+    let each = |topics: &[NodeTopic]| -> Vec<String> {
+        let every = topics.iter().map(|topic| keys.every_node(*topic));
+        every.map(|key| key.to_string()).collect()
+    };
+    let prefix = keys.prefix();
+    let jobs = [format!("{prefix}/job/*")];
+    let alive = each(&[NodeTopic::Alive]);
+    let mut followed = each(&FOLLOWED);
+    followed.extend(jobs.clone());
+    rules.add("follow", &["egress"], &["put"], followed);
+    let asks = [
+        "declare_subscriber",
+        "declare_liveliness_subscriber",
+        "liveliness_query",
+    ];
+    // What it hears is limited where it is said to it; so it may ask for anything.
+    rules.add("ask", &["ingress"], &asks, vec![all]);
+    rules.add("alive", &["egress"], &["liveliness_token"], alive);
+    let mut read = each(&[NodeTopic::State]);
+    read.extend(jobs);
+    rules.add("read", &["ingress"], &["query"], read.clone());
+    rules.add("answers", &["egress"], &["reply"], read);
+    rules.add("stop", &["ingress"], &["put"], each(&[NodeTopic::Stop]));
+
+    let mut work = each(&[NodeTopic::Job, NodeTopic::Release]);
+    work.extend([
+        format!("{prefix}/group/*/job"),
+        format!("{prefix}/job/*/cancel"),
+    ]);
+    rules.add("work", &["ingress"], &["put", "query"], work.clone());
+    rules.add("receipts", &["egress"], &["reply"], work);
+
+    let looks = ["follow", "ask", "alive", "read", "answers", "stop"];
+    let mut policies = Vec::new();
+    let mut subjects = Vec::new();
+    for role in Role::ALL {
+        let names: Vec<&str> = users
+            .iter()
+            .filter(|user| user.role == role)
+            .map(|user| user.name.as_str())
+            .collect();
+        if names.is_empty() {
+            continue;
+        }
+        let mut policy = |subject: &str, rules: Vec<String>| {
+            policies.push(json!({"rules": rules, "subjects": [subject]}));
+        };
+        let owned = |ids: &[&str]| ids.iter().map(|id| (*id).to_owned()).collect::<Vec<_>>();
+        match role {
+            Role::Gateway => {
+                subjects.push(json!({"id": "gateway", "usernames": names}));
+                policy("gateway", owned(&["gateway"]));
+            }
+            Role::Operator => {
+                subjects.push(
+                    json!({"id": "operators", "usernames": names, "link_protocols": ["tls"]}),
+                );
+                policy(
+                    "operators",
+                    [owned(&looks), owned(&["work", "receipts"])].concat(),
+                );
+            }
+            Role::Viewer => {
+                subjects
+                    .push(json!({"id": "viewers", "usernames": names, "link_protocols": ["tls"]}));
+                policy("viewers", owned(&looks));
+            }
+            Role::Node => {
+                for name in names {
+                    let subject = format!("node-{name}");
+                    subjects.push(json!({"id": subject, "usernames": [name]}));
+                    let name = NodeId::new(name).expect("a user's name is one");
+                    policy(&subject, rules.of_node(keys, &name));
+                }
+            }
+        }
+    }
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules.rules,
+        "subjects": subjects,
+        "policies": policies,
+    })
+}
+
+#[derive(Default)]
+struct Rules {
+    rules: Vec<Value>,
+}
+
+impl Rules {
+    fn add(&mut self, id: &str, flows: &[&str], messages: &[&str], keys: Vec<String>) {
+        self.rules.push(json!({
+            "id": id, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": keys,
+        }));
+    }
+
+    /// Adds the rules of one node and returns their names.
+    fn of_node(&mut self, keys: &Keys, name: &NodeId) -> Vec<String> {
+        let own = |topics: &[NodeTopic]| -> Vec<String> {
+            let own = topics.iter().map(|topic| keys.node(name, *topic));
+            own.map(|key| key.to_string()).collect()
+        };
+        // A stop on a wild key is heard under that key.
+        let mut heard = own(&HEARD);
+        heard.push(keys.every_node(NodeTopic::Stop).to_string());
+        let ids = ["says", "lives", "listens", "hears"].map(|verb| format!("{name}-{verb}"));
+        let [says, lives, listens, hears] = &ids;
+        self.add(says, &["ingress"], &["put"], own(&SAID));
+        self.add(
+            lives,
+            &["ingress"],
+            &["liveliness_token"],
+            own(&[NodeTopic::Alive]),
+        );
+        self.add(listens, &["ingress"], &["declare_subscriber"], own(&HEARD));
+        self.add(hears, &["egress"], &["put"], heard);
+        ids.into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_user_is_the_subject_of_exactly_one_policy() {
+        let names = [
+            ("gateway", Role::Gateway),
+            ("alice", Role::Operator),
+            ("bob", Role::Viewer),
+            ("left", Role::Node),
+            ("right", Role::Node),
+        ];
+        let users = names.map(|(name, role)| {
+            User::new(NodeId::new(name).expect("legal"), role).expect("random numbers")
+        });
+        let access = access_control(&Keys::default(), &users);
+        let subjects = access["subjects"].as_array().expect("a list");
+        for (name, _) in names {
+            let of = subjects.iter().filter(|subject| {
+                let names = subject["usernames"].as_array().expect("a list");
+                names.iter().any(|word| word == name)
+            });
+            assert_eq!(of.count(), 1, "{name}");
+        }
+        let policies = access["policies"].as_array().expect("a list");
+        assert_eq!(policies.len(), subjects.len());
+        let rules = access["rules"].as_array().expect("a list");
+        let defined = |id: &Value| rules.iter().any(|rule| rule["id"] == *id);
+        for policy in policies {
+            assert!(
+                policy["rules"]
+                    .as_array()
+                    .expect("a list")
+                    .iter()
+                    .all(defined),
+                "{policy}"
+            );
+        }
+        let text = access.to_string();
+        assert!(users.iter().all(|user| !text.contains(&user.password)));
+    }
+}

@@ -1,0 +1,353 @@
+//! Attempts on a secured fleet: each a real session with real credentials that asks for more than
+//! its role may have.
+//!
+//! What is denied has no answer, so nothing waits for one: after each attempt the same session, or
+//! the operator's, does something that is allowed, and when that has come to pass the attempt has
+//! been passed over.
+
+use base64::Engine as _;
+use emulator::{EmulatorConfig, wall};
+use gateway::{
+    config::GatewayConfig,
+    security::{Home, Role},
+    service::Service,
+};
+use keys::{
+    AxisStatus, Features, LocalMicros, NodeId, NodeState, QueueId, Status,
+    credentials::Credentials,
+    record::{ErrorReply, JobRecord, NodeRecord},
+    version,
+};
+use serde_json::{Value, json};
+use std::time::Duration;
+use zenoh::{Session, bytes::Encoding, qos::CongestionControl, query::ConsolidationMode};
+
+/// Far more than anything here takes; only a failure waits so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+struct Plant {
+    service: Service,
+    home: Home,
+    _folder: tempfile::TempDir,
+}
+
+async fn in_time<T>(what: impl IntoFuture<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, what).await.expect("in time")
+}
+
+fn name(text: &str) -> NodeId {
+    NodeId::new(text).expect("legal")
+}
+
+async fn session(to: &str, credentials: Option<&Credentials>) -> zenoh::Result<Session> {
+    let mut config = zenoh::Config::default();
+    let mut pairs = vec![
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([to])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("transport/unicast/open_timeout", json!(60_000)),
+    ];
+    if let Some(credentials) = credentials {
+        pairs.push(("transport/auth/usrpwd/user", json!(credentials.user)));
+        pairs.push((
+            "transport/auth/usrpwd/password",
+            json!(credentials.password),
+        ));
+        if let Some(ca) = &credentials.ca {
+            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
+            pairs.push(("transport/link/tls/root_ca_certificate_base64", json!(ca)));
+        }
+    }
+    for (key, value) in pairs {
+        config.insert_json5(key, &value.to_string()).expect("known");
+    }
+    zenoh::open(config).await
+}
+
+impl Plant {
+    /// A secured fleet with an operator, a viewer and two nodes that may connect.
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = folder.path().join("home");
+        let mut made = Home::init(&home, &[]).expect("made");
+        for (user, role) in [
+            ("alice", Role::Operator),
+            ("bob", Role::Viewer),
+            ("left", Role::Node),
+            ("right", Role::Node),
+        ] {
+            made.add(name(user), role).expect("added");
+        }
+        let config = GatewayConfig {
+            listen: vec!["tls/127.0.0.1:0".into(), "tcp/127.0.0.1:0".into()],
+            secure: Some(home),
+            ..GatewayConfig::new(folder.path().join("fleet.redb"))
+        };
+        Self {
+            service: in_time(Service::start(config)).await.expect("started"),
+            home: made,
+            _folder: folder,
+        }
+    }
+
+    fn tls(&self) -> &str {
+        &self.service.locators()[0]
+    }
+
+    fn tcp(&self) -> &str {
+        &self.service.locators()[1]
+    }
+
+    fn credentials(&self, user: &str) -> Credentials {
+        let mut users = self.home.users().iter();
+        let user = users.find(|entry| entry.name.as_str() == user);
+        self.home.credentials(user.expect("one of ours"))
+    }
+
+    async fn session(&self, user: &str) -> Session {
+        let node = ["left", "right"].contains(&user);
+        let to = if node { self.tcp() } else { self.tls() };
+        let session = in_time(session(to, Some(&self.credentials(user)))).await;
+        session.expect("connected")
+    }
+
+    /// Switches an emulated node on, with its own credentials.
+    fn node(&self, node: &str) -> wall::EmulatedHandle {
+        let credentials = self.credentials(node);
+        let mut config = EmulatorConfig::new(name(node));
+        config.connect = self.tcp().to_owned();
+        config.credentials = Some(emulator::config::Credentials {
+            user: credentials.user,
+            password: credentials.password,
+        });
+        wall::spawn(config).expect("spawned")
+    }
+}
+
+async fn ask(
+    session: &Session,
+    key: &str,
+    payload: Option<&Value>,
+) -> Vec<Result<Value, ErrorReply>> {
+    let mut get = session
+        .get(key)
+        .consolidation(ConsolidationMode::None)
+        .timeout(PATIENCE);
+    if let Some(payload) = payload {
+        get = get
+            .payload(payload.to_string())
+            .encoding(Encoding::APPLICATION_JSON);
+    }
+    let replies = in_time(get).await.expect("asked");
+    let mut answers = Vec::new();
+    while let Ok(reply) = in_time(replies.recv_async()).await {
+        let read = |bytes: &[u8]| serde_json::from_slice::<Value>(bytes).expect("JSON");
+        answers.push(match reply.result() {
+            Ok(sample) => Ok(read(&sample.payload().to_bytes())),
+            Err(error) => {
+                let error = read(&error.payload().to_bytes());
+                Err(serde_json::from_value(error).expect("an error reply"))
+            }
+        });
+    }
+    answers
+}
+
+async fn put(session: &Session, key: &str, payload: impl Into<zenoh::bytes::ZBytes>) {
+    let put = session
+        .put(key, payload)
+        .encoding(Encoding::APPLICATION_JSON)
+        .congestion_control(CongestionControl::Block);
+    in_time(put).await.expect("put");
+}
+
+/// Follows a node's records until one is as wanted.
+async fn until(session: &Session, node: &str, is_so: impl Fn(&NodeRecord) -> bool) -> NodeRecord {
+    let key = format!("fleet/node/{node}/state");
+    let follow = in_time(session.declare_subscriber(&key)).await;
+    let follow = follow.expect("declared");
+    for answer in ask(session, &key, None).await.into_iter().flatten() {
+        let record: NodeRecord = serde_json::from_value(answer).expect("a node record");
+        if is_so(&record) {
+            return record;
+        }
+    }
+    loop {
+        let sample = in_time(follow.recv_async()).await.expect("a record");
+        let record: NodeRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a node record");
+        if is_so(&record) {
+            return record;
+        }
+    }
+}
+
+async fn job_exists(operator: &Session, job: &str) -> bool {
+    let answers = ask(operator, &format!("fleet/job/{job}"), None).await;
+    answers.iter().any(Result::is_ok)
+}
+
+fn job(id: &str) -> Value {
+    json!({"id": id, "commands": [{"move": {"axis": 0, "delay_us": 500, "steps": 20}}]})
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_works_over_tls_with_a_node_that_has_its_own_password() {
+    let plant = Plant::new().await;
+    let left = plant.node("left");
+    let alice = plant.session("alice").await;
+    until(&alice, "left", |record| {
+        record.alive && record.clock.is_some()
+    })
+    .await;
+    let follow = in_time(alice.declare_subscriber("fleet/job/*")).await;
+    let follow = follow.expect("declared");
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&job("one"))).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    loop {
+        let sample = in_time(follow.recv_async()).await.expect("a record");
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        if record.state.is_final() {
+            assert_eq!(record.state.as_str(), "succeeded", "{record:?}");
+            break;
+        }
+    }
+    in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nobody_gets_in_without_the_right_password_or_with_another_authority() {
+    let plant = Plant::new().await;
+    let alice = plant.credentials("alice");
+    let wrong = Credentials {
+        password: "wrong".into(),
+        ..alice.clone()
+    };
+    let nobody = Credentials {
+        user: "nobody".into(),
+        ..alice.clone()
+    };
+    let other = tempfile::tempdir().expect("a folder");
+    let mut other = Home::init(other.path(), &[]).expect("made");
+    other.add(name("alice"), Role::Operator).expect("added");
+    let foreign = Credentials {
+        ca: other.gateway().ca,
+        ..alice.clone()
+    };
+    for to in [plant.tls(), plant.tcp()] {
+        assert!(in_time(session(to, None)).await.is_err(), "{to}: no user");
+        assert!(in_time(session(to, Some(&wrong))).await.is_err(), "{to}");
+        assert!(in_time(session(to, Some(&nobody))).await.is_err(), "{to}");
+    }
+    // Whoever poses as the router has no certificate of this fleet's.
+    let refused = in_time(session(plant.tls(), Some(&foreign))).await;
+    assert!(refused.is_err(), "another authority");
+    assert!(in_time(session(plant.tls(), Some(&alice))).await.is_ok());
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
+    let plant = Plant::new().await;
+    let left = plant.node("left");
+    let alice = plant.session("alice").await;
+    let bob = plant.session("bob").await;
+    until(&bob, "left", |record| record.alive).await;
+    put(&bob, "fleet/node/left/job", job("bobs").to_string()).await;
+    put(&bob, "fleet/group/g/job", "{}").await;
+    put(&bob, "fleet/node/left/stop", "").await;
+    until(&bob, "left", |record| record.stopped.is_some()).await;
+    assert!(!job_exists(&alice, "bobs").await);
+    // His release is behind his stop; the operator's record shows that it did nothing.
+    put(&bob, "fleet/node/left/release", "").await;
+    put(&bob, "fleet/node/left/stop", "").await;
+    let refused = ask(&alice, "fleet/node/left/job", Some(&job("refused"))).await;
+    let error = refused[0].as_ref().expect_err("the latch is set");
+    assert_eq!(error.error.code.as_str(), "stopped");
+    let released = ask(&alice, "fleet/node/left/release", None).await;
+    assert!(released[0].is_ok(), "{released:?}");
+    until(&alice, "left", |record| record.stopped.is_none()).await;
+    in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
+    let plant = Plant::new().await;
+    let alice = plant.session("alice").await;
+    let left = plant.session("left").await;
+    let follow = in_time(alice.declare_subscriber("fleet/job/*")).await;
+    let follow = follow.expect("declared");
+    let status = |queue| Status {
+        at: LocalMicros(1),
+        queue,
+        state: NodeState::Idle,
+        stop: None,
+        job: None,
+        accepted_commands: 0,
+        executed_commands: 0,
+        credit_commands: 16,
+        axes: [AxisStatus::default()].into_iter().collect(),
+        faults: [].into_iter().collect(),
+        features: Features::BASIC,
+        firmware: [0, 1, 0],
+        rssi_dbm: None,
+        laser_percent: 0,
+        lidar_mm: None,
+    };
+    let mut buffer = [0; 512];
+    let bytes = version::encode(&status(QueueId { boot: 1, flush: 0 }), &mut buffer);
+    let bytes = bytes.expect("it fits").to_vec();
+    put(&left, "fleet/node/right/status", bytes.clone()).await;
+    let _token = in_time(left.liveliness().declare_token("fleet/node/right/alive")).await;
+    put(&left, "fleet/node/left/job", job("lefts").to_string()).await;
+    put(
+        &left,
+        "fleet/job/forged",
+        json!({"job": "forged"}).to_string(),
+    )
+    .await;
+    put(&left, "fleet/node/right/stop", "").await;
+    // What it may say comes last, and through the same link.
+    let _own = in_time(left.liveliness().declare_token("fleet/node/left/alive")).await;
+    put(&left, "fleet/node/left/status", bytes).await;
+    until(&alice, "left", |record| {
+        record.alive && record.firmware == "0.1.0"
+    })
+    .await;
+
+    let right = ask(&alice, "fleet/node/right/state", None).await;
+    assert!(right.iter().all(Result::is_err), "{right:?}");
+    assert!(!job_exists(&alice, "lefts").await);
+    // An allowed job is the first that the operator hears of.
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&job("first"))).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    let sample = in_time(follow.recv_async()).await.expect("a record");
+    assert_eq!(sample.key_expr().as_str(), "fleet/job/first");
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_person_who_comes_without_tls_is_told_nothing() {
+    let plant = Plant::new().await;
+    let alice = plant.session("alice").await;
+    let plain = in_time(session(plant.tcp(), Some(&plant.credentials("alice")))).await;
+    let plain = plain.expect("the password is right");
+    put(&plain, "fleet/node/left/job", job("plain").to_string()).await;
+    in_time(plain.close()).await.expect("closed");
+    // The plain session has ended, so what it said has been passed over.
+    assert!(!job_exists(&alice, "plain").await);
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
