@@ -1,5 +1,6 @@
 //! Every setting of the gateway, with unit, default and reason.
 
+use crate::fleet::FleetConfig;
 use keys::{Keys, credentials::Credentials};
 use std::path::PathBuf;
 
@@ -50,6 +51,8 @@ pub struct GatewayConfig {
     /// router. `None` by default: with `users` the entry [`GATEWAY_USER_DEFAULT`] of that file, with
     /// `secure` that of the folder.
     pub credentials: Option<Credentials>,
+    /// Bounds and times; its keys are those of `keys`, whatever it says.
+    pub fleet: FleetConfig,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
@@ -66,6 +69,7 @@ impl GatewayConfig {
             users: None,
             secure: None,
             credentials: None,
+            fleet: FleetConfig::default(),
             scouting: false,
         }
     }

@@ -19,3 +19,4 @@ pub mod job;
 pub mod journal;
 pub mod security;
 pub mod service;
+pub mod settings;

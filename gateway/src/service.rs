@@ -131,7 +131,10 @@ impl Service {
             .await
             .map_err(|_| ServiceError::Panicked("journal"))??;
         let mut effects = Vec::new();
-        let fleet_config = FleetConfig::new(config.keys.clone());
+        let fleet_config = FleetConfig {
+            keys: config.keys.clone(),
+            ..config.fleet.clone()
+        };
         // Any number: it only makes the names of jobs of two runs differ.
         let seed = RandomState::new().hash_one(clock.now().0);
         let fleet = Fleet::restore(fleet_config, seed, stored, clock.now(), &mut effects)?;

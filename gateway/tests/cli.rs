@@ -40,7 +40,8 @@ fn fleet(line: &[&str]) -> Ran {
 
 fn verbs() -> Vec<&'static str> {
     let mut verbs = vec![
-        "serve", "nodes", "submit", "jobs", "watch", "cancel", "stop", "release",
+        "serve", "config", "init", "users", "nodes", "submit", "jobs", "watch", "cancel", "stop",
+        "release",
     ];
     if cfg!(feature = "demo") {
         verbs.push("demo");
@@ -148,6 +149,62 @@ fn bad_options_end_with_2_and_name_what_is_wrong() {
         assert_eq!(ran.code, Some(2), "{line:?}: {}", ran.err);
         assert!(ran.err.contains(named), "{line:?}: {}", ran.err);
         assert!(ran.out.is_empty(), "{line:?}: {}", ran.out);
+    }
+}
+
+#[test]
+fn the_printed_settings_are_good_settings_and_a_wrong_one_names_its_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("fleet.toml");
+    let file = path.to_str().expect("UTF-8");
+    let printed = fleet(&["config"]);
+    assert_eq!(printed.code, Some(0), "{}", printed.err);
+    std::fs::write(&path, &printed.out).expect("written");
+    let ran = fleet(&["config", file]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    std::fs::write(&path, "[store]\nkeep_jobs = 3\n").expect("written");
+    for line in [&["config", file][..], &["serve", "--config", file]] {
+        let ran = fleet(line);
+        assert_eq!(ran.code, Some(2), "{line:?}");
+        assert!(
+            ran.err.contains(file) && ran.err.contains("line 2"),
+            "{}",
+            ran.err
+        );
+        assert!(ran.err.contains("3 is not within 10 to"), "{}", ran.err);
+    }
+}
+
+#[test]
+fn a_secured_fleet_is_made_its_users_come_and_go_and_exposed_credentials_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let home = folder.path().join("plant");
+    let home = home.to_str().expect("UTF-8");
+    let made = fleet(&["init", home, "--host", "plant.local"]);
+    assert_eq!(made.code, Some(0), "{}", made.err);
+    assert!(made.out.contains("fleet serve --secure"), "{}", made.out);
+    let again = fleet(&["init", home]);
+    assert_eq!(again.code, Some(2), "{}", again.out);
+    assert!(again.err.contains("already"), "{}", again.err);
+
+    let added = fleet(&["users", home, "add", "left", "--role", "node"]);
+    assert_eq!(added.code, Some(0), "{}", added.err);
+    let list = fleet(&["users", home, "list"]);
+    for user in ["gateway", "operator", "left"] {
+        assert!(list.out.contains(user), "{}", list.out);
+    }
+    assert_eq!(fleet(&["users", home, "revoke", "left"]).code, Some(0));
+    assert_eq!(fleet(&["users", home, "revoke", "left"]).code, Some(2));
+
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let file = format!("{home}/operator.json");
+        let shown = std::fs::Permissions::from_mode(0o644);
+        std::fs::set_permissions(&file, shown).expect("set");
+        let ran = fleet(&["--credentials", &file, "nodes"]);
+        assert_eq!(ran.code, Some(2), "{}", ran.err);
+        assert!(ran.err.contains("mode 644"), "{}", ran.err);
     }
 }
 

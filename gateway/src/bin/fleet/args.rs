@@ -25,18 +25,30 @@ pub(crate) struct Line {
     pub(crate) verb: Verb,
 }
 
+impl Common {
+    /// Returns the keys of the fleet.
+    pub(crate) fn keys(&self) -> keys::Keys {
+        self.prefix.clone().unwrap_or_default()
+    }
+}
+
 /// Options of every command.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Connection and output")]
 pub(crate) struct Common {
     /// Gateway or zenoh router to connect to [default: tcp/127.0.0.1:7447; serve: none, it brings
     /// its own router]
-    #[arg(long, global = true, value_name = "tcp/HOST:PORT")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "tcp/HOST:PORT",
+        env = "FLEET_CONNECT"
+    )]
     pub(crate) connect: Option<String>,
 
-    /// Prefix of all keys of the fleet.
-    #[arg(long, global = true, default_value = keys::key::PREFIX_DEFAULT, value_parser = prefix)]
-    pub(crate) prefix: keys::Keys,
+    /// Prefix of all keys of the fleet [default: fleet]
+    #[arg(long, global = true, env = "FLEET_PREFIX", value_parser = prefix)]
+    pub(crate) prefix: Option<keys::Keys>,
 
     /// File that `fleet users` made: where to connect, as whom, and whom to trust. Nobody but you
     /// may be able to read it.
@@ -77,6 +89,14 @@ Examples:
   fleet serve --secure /etc/fleet          # TLS, passwords and roles; see `fleet init`
   fleet serve --connect tcp/router:7447    # join an existing zenoh network")]
     Serve(Serve),
+
+    /// Print every setting of `fleet.toml` with its default, or check a file.
+    #[command(after_help = "\
+Examples:
+  fleet config > fleet.toml
+  fleet config fleet.toml
+  fleet serve --config fleet.toml")]
+    Config(Config),
 
     /// Make a secured fleet: TLS with its own authority, users with roles, everything else denied.
     #[command(after_help = "\
@@ -156,12 +176,21 @@ pub(crate) struct Serve {
     /// Where the router listens; may be given several times. Port 0: the system chooses one.
     /// [default: tcp/127.0.0.1:7447; with --secure: tls/0.0.0.0:7447 for people and
     /// tcp/0.0.0.0:7448 for nodes]
-    #[arg(long, value_name = "tcp/HOST:PORT")]
+    #[arg(
+        long,
+        value_name = "tcp/HOST:PORT",
+        env = "FLEET_LISTEN",
+        value_delimiter = ','
+    )]
     pub(crate) listen: Vec<String>,
 
-    /// File of jobs and nodes; made if it is not there.
-    #[arg(long, value_name = "FILE", default_value = "fleet.redb")]
-    pub(crate) store: PathBuf,
+    /// Settings; `fleet config` prints them all. What is said here or in the environment wins.
+    #[arg(long, value_name = "FILE", env = "FLEET_CONFIG")]
+    pub(crate) config: Option<PathBuf>,
+
+    /// File of jobs and nodes; made if it is not there [default: fleet.redb]
+    #[arg(long, value_name = "FILE", env = "FLEET_STORE")]
+    pub(crate) store: Option<PathBuf>,
 
     /// Who may connect to the own router: lines NAME:PASSWORD, one of them `gateway`, as which
     /// the gateway itself connects. Without it: everybody.
@@ -169,12 +198,18 @@ pub(crate) struct Serve {
     pub(crate) users: Option<PathBuf>,
 
     /// Folder of a secured fleet, made by `fleet init`.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["connect", "users"])]
+    #[arg(long, value_name = "DIR", env = "FLEET_SECURE", conflicts_with_all = ["connect", "users"])]
     pub(crate) secure: Option<PathBuf>,
 
     /// Look for other zenoh routers by multicast, and let yourself be found.
     #[arg(long)]
     pub(crate) scouting: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Config {
+    /// Check this file instead.
+    pub(crate) file: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

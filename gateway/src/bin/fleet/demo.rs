@@ -133,7 +133,7 @@ pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
     let workshop = Workshop::make()?;
     let config = GatewayConfig {
         listen: vec!["tcp/127.0.0.1:0".to_owned()],
-        keys: common.prefix.clone(),
+        keys: common.keys(),
         ..GatewayConfig::new(workshop.path().join("fleet.redb"))
     };
     let service = Service::start(config).await.map_err(anyhow::Error::from)?;
@@ -199,13 +199,13 @@ async fn play(
     locator: &str,
     talk: bool,
 ) -> Result<(Vec<Played>, JobRecord), Failure> {
-    let link = Link::connect(locator, common.prefix.clone(), None, common.timeout).await?;
+    let link = Link::connect(locator, common.keys(), None, common.timeout).await?;
     let states = link
         .subscribe(link.keys().every_node(NodeTopic::State).as_str())
         .await?;
     let mut handles = Vec::new();
     for (seed, (node, _, _)) in (1_u64..).zip(PLAYS) {
-        handles.push(boot(node, &common.prefix, locator, seed)?);
+        handles.push(boot(node, &common.keys(), locator, seed)?);
     }
     let mut waiting: Vec<NodeId> = handles.iter().map(EmulatedHandle::name).collect();
     let deadline = tokio::time::Instant::now() + common.timeout;

@@ -132,13 +132,7 @@ impl Link {
         let connect = connect
             .or(named.map(String::as_str))
             .unwrap_or(CONNECT_DEFAULT);
-        Self::connect(
-            connect,
-            common.prefix.clone(),
-            credentials.as_ref(),
-            common.timeout,
-        )
-        .await
+        Self::connect(connect, common.keys(), credentials.as_ref(), common.timeout).await
     }
 
     /// Connects as a client to this locator.

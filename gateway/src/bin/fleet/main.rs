@@ -49,6 +49,7 @@ async fn main() -> ExitCode {
 async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
     match verb {
         Verb::Serve(serve) => return serve::serve(common, serve).await,
+        Verb::Config(config) => return serve::print_config(config),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
         #[cfg(feature = "demo")]
@@ -72,7 +73,9 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             stop::stop(&link, &stop.pattern, mode, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) | Verb::Init(_) | Verb::Users(_) => unreachable!("done above"),
+        Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) => {
+            unreachable!("done above")
+        }
         #[cfg(feature = "demo")]
         Verb::Demo => unreachable!("done above"),
     };

@@ -1,7 +1,7 @@
 //! `fleet serve`: the gateway until a signal.
 
 use crate::{
-    args::{Common, Serve},
+    args::{Common, Config, Serve},
     link::{Failure, credentials},
     show,
 };
@@ -9,21 +9,13 @@ use gateway::{
     bus::zenoh::BusError,
     config::GatewayConfig,
     service::{self, ServiceError},
+    settings::{DEFAULTS, Settings},
 };
 
 /// `fleet serve`
 pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure> {
-    let config = GatewayConfig {
-        listen: serve.listen.clone(),
-        connect: common.connect.iter().cloned().collect(),
-        keys: common.prefix.clone(),
-        users: serve.users.clone(),
-        secure: serve.secure.clone(),
-        credentials: credentials(common)?,
-        scouting: serve.scouting,
-        ..GatewayConfig::new(&serve.store)
-    };
-    let joined = common.connect.is_some();
+    let config = config(common, serve)?;
+    let joined = !config.connect.is_empty();
     let open = config.secure.is_none();
     let json = common.json;
     let ready = move |locators: &[String]| {
@@ -53,6 +45,49 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
         }
         Err(error) => Err(Failure::Failed(Some(error.to_string()))),
     }
+}
+
+/// `fleet config`
+pub(crate) fn print_config(config: &Config) -> Result<(), Failure> {
+    match &config.file {
+        None => DEFAULTS.lines().for_each(show::line),
+        Some(file) => {
+            Settings::read(file).map_err(Failure::Usage)?;
+            show::line(&format!(
+                "{}: every option is known and in range",
+                file.display()
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The file's settings, and over them what was said.
+fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
+    let settings = match &serve.config {
+        Some(file) => Settings::read(file).map_err(Failure::Usage)?,
+        None => Settings::default(),
+    };
+    let mut config = settings.into_config();
+    if !serve.listen.is_empty() {
+        config.listen.clone_from(&serve.listen);
+    }
+    if let Some(connect) = &common.connect {
+        config.connect = vec![connect.clone()];
+    }
+    if let Some(keys) = &common.prefix {
+        config.keys = keys.clone();
+    }
+    if let Some(store) = &serve.store {
+        config.store.clone_from(store);
+    }
+    if serve.secure.is_some() {
+        config.secure.clone_from(&serve.secure);
+    }
+    config.users.clone_from(&serve.users);
+    config.credentials = credentials(common)?;
+    config.scouting |= serve.scouting;
+    Ok(config)
 }
 
 /// Resolves at Ctrl-C or a request to end.
