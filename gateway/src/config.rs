@@ -2,7 +2,7 @@
 
 use crate::fleet::FleetConfig;
 use keys::{Keys, credentials::Credentials};
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 /// Where the gateway's router listens when nothing else is said: this machine only, zenoh's port.
 /// Whoever can connect to an unsecured fleet can move it; so that it is reached from elsewhere, its
@@ -53,6 +53,8 @@ pub struct GatewayConfig {
     pub credentials: Option<Credentials>,
     /// Bounds and times; its keys are those of `keys`, whatever it says.
     pub fleet: FleetConfig,
+    /// Where `/metrics` and `/healthz` are served by HTTP, see [`crate::http`]. `None` by default.
+    pub http: Option<SocketAddr>,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
@@ -70,6 +72,7 @@ impl GatewayConfig {
             secure: None,
             credentials: None,
             fleet: FleetConfig::default(),
+            http: None,
             scouting: false,
         }
     }

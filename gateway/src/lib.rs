@@ -15,8 +15,10 @@
 pub mod bus;
 pub mod config;
 pub mod fleet;
+pub mod http;
 pub mod job;
 pub mod journal;
+pub mod observe;
 pub mod security;
 pub mod service;
 pub mod settings;

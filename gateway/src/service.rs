@@ -26,24 +26,28 @@ use crate::{
         Fleet, FleetConfig, RestoreError,
         event::{Effect, Event, Lane, ReplyTo},
     },
+    http::{self, HttpError},
     job::parse::{Parsed, parse, parse_group},
     journal::{Journal, JournalError},
+    observe::{self, Snapshot},
 };
 use keys::{
     FleetMicros,
     record::{ErrorCode, JobError},
 };
+use metrics::{counter, gauge, histogram};
 use std::{
     hash::{BuildHasher, RandomState},
+    net::SocketAddr,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 use thiserror::Error;
 use tokio::{
-    sync::{mpsc, watch},
+    sync::{mpsc, oneshot, watch},
     task::JoinHandle,
 };
 
@@ -60,6 +64,12 @@ pub const EFFECT_BATCHES_MAX: usize = 256;
 /// Handled events whose writes are committed together.
 pub const BATCHES_PER_COMMIT_MAX: usize = 100;
 
+/// Questions about the fleet that wait for their answer.
+const QUESTIONS_MAX: usize = 8;
+
+/// How long the fleet may take for an answer; one that takes longer hangs.
+pub const ANSWER_PATIENCE: Duration = Duration::from_secs(2);
+
 /// Why the service cannot start or go on.
 #[derive(Debug, Error)]
 pub enum ServiceError {
@@ -72,6 +82,9 @@ pub enum ServiceError {
     /// The network is not there.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Metrics and health cannot be served.
+    #[error(transparent)]
+    Http(#[from] HttpError),
     /// A part of the service panicked.
     #[error("the service's {0} ended by a panic")]
     Panicked(&'static str),
@@ -87,14 +100,23 @@ pub struct Service {
     stop_jobs: watch::Sender<bool>,
     stop_fleet: watch::Sender<bool>,
     failed: watch::Receiver<bool>,
+    observer: Observer,
     reader: JoinHandle<()>,
     forwarder: JoinHandle<()>,
     fleet: JoinHandle<()>,
     writer: std::thread::JoinHandle<Result<(), JournalError>>,
 }
 
-/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once with the
-/// locators, see [`Service::locators`].
+/// Where a gateway that is ready can be reached.
+#[derive(Clone, Copy, Debug)]
+pub struct Ready<'s> {
+    /// See [`Service::locators`].
+    pub locators: &'s [String],
+    /// Where `/metrics` and `/healthz` are.
+    pub http: Option<SocketAddr>,
+}
+
+/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once.
 ///
 /// # Errors
 /// See [`ServiceError`].
@@ -103,14 +125,36 @@ pub struct Service {
 /// None: cancel by `shutdown`.
 pub async fn run(
     config: GatewayConfig,
-    ready: impl FnOnce(&[String]),
+    ready: impl FnOnce(Ready<'_>),
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ServiceError> {
+    // First of all: an address that is taken is told before anything has begun.
+    let listener = match config.http {
+        Some(address) => Some(http::listen(address).await?),
+        None => None,
+    };
+    let metrics = match listener {
+        Some(_) => Some(http::install()?),
+        None => None,
+    };
     let service = Service::start(config).await?;
-    ready(service.locators());
+    let address = listener
+        .as_ref()
+        .and_then(|socket| socket.local_addr().ok());
+    let serve = listener.zip(metrics).map(|(listener, metrics)| {
+        let serve = http::serve(listener, service.observer(), metrics);
+        tokio::spawn(serve)
+    });
+    ready(Ready {
+        locators: service.locators(),
+        http: address,
+    });
     tokio::select! {
         () = shutdown => {}
         () = service.failed() => {}
+    }
+    if let Some(serve) = serve {
+        serve.abort();
     }
     service.shutdown().await
 }
@@ -143,6 +187,7 @@ impl Service {
         let (inbox, outlets) = Inbox::new();
         let (batches, batches_outlet) = mpsc::channel(EFFECT_BATCHES_MAX);
         let (failed_sender, failed) = watch::channel(false);
+        let (questions, asked) = mpsc::channel(QUESTIONS_MAX);
         let (stop_jobs, jobs_stopping) = watch::channel(false);
         let (stop_fleet, fleet_stopping) = watch::channel(false);
         let store_failed = Arc::new(AtomicBool::new(false));
@@ -172,7 +217,7 @@ impl Service {
             store_failed,
         };
         task.carry_out(effects).await;
-        let fleet = tokio::spawn(task.run(urgent, events, fleet_stopping));
+        let fleet = tokio::spawn(task.run(urgent, events, asked, fleet_stopping));
         let (reading, read) = mpsc::channel(READERS_MAX);
         let reader = tokio::spawn(read_jobs(jobs, reading, jobs_stopping));
         let forwarder = tokio::spawn(forward_jobs(read, events_sender, Arc::clone(&bus)));
@@ -181,6 +226,10 @@ impl Service {
             bus,
             stop_jobs,
             stop_fleet,
+            observer: Observer {
+                questions,
+                failed: failed.clone(),
+            },
             failed,
             reader,
             forwarder,
@@ -205,6 +254,11 @@ impl Service {
     /// the system chose for port 0, or the routers of the network that was joined.
     pub fn locators(&self) -> &[String] {
         self.bus.locators()
+    }
+
+    /// Returns what answers questions about the fleet, also from other tasks.
+    pub fn observer(&self) -> Observer {
+        self.observer.clone()
     }
 
     /// Resolves when the store has failed; [`Service::shutdown`] then gives the reason.
@@ -242,6 +296,32 @@ impl Service {
             result.map_err(|_| ServiceError::Panicked(name))?;
         }
         Ok(())
+    }
+}
+
+/// Asks the fleet what it is like.
+#[derive(Clone, Debug)]
+pub struct Observer {
+    questions: mpsc::Sender<oneshot::Sender<Snapshot>>,
+    failed: watch::Receiver<bool>,
+}
+
+impl Observer {
+    /// Returns what the fleet is like now; `None` if it does not answer within
+    /// [`ANSWER_PATIENCE`] or the store has failed.
+    ///
+    /// # Cancellation safety
+    /// May be dropped; the answer is lost.
+    pub async fn snapshot(&self) -> Option<Snapshot> {
+        if *self.failed.borrow() {
+            return None;
+        }
+        let (answer, answered) = oneshot::channel();
+        let ask = async {
+            self.questions.send(answer).await.ok()?;
+            answered.await.ok()
+        };
+        tokio::time::timeout(ANSWER_PATIENCE, ask).await.ok()?
     }
 }
 
@@ -342,6 +422,7 @@ impl FleetTask {
         mut self,
         mut urgent: mpsc::Receiver<Event>,
         mut events: mpsc::Receiver<Arrived>,
+        mut asked: mpsc::Receiver<oneshot::Sender<Snapshot>>,
         mut stopping: watch::Receiver<bool>,
     ) {
         loop {
@@ -362,6 +443,11 @@ impl FleetTask {
                 Some(event) = urgent.recv() => (event.into(), false),
                 Some(arrived) = events.recv() => (arrived, true),
                 _ = stopping.wait_for(|stop| *stop) => return,
+                Some(answer) = asked.recv() => {
+                    // Whoever asked may have left.
+                    let _ = answer.send(Snapshot::of(&self.fleet));
+                    continue;
+                }
                 () = due => (Event::Tick.into(), true),
             };
             if may_wait {
@@ -391,6 +477,7 @@ impl FleetTask {
         let now: FleetMicros = arrived.at.unwrap_or_else(|| self.clock.now());
         let mut effects = Vec::new();
         self.fleet.handle(arrived.event, now, &mut effects);
+        counter!(observe::EVENTS).increment(1);
         self.carry_out(effects).await;
     }
 
@@ -459,6 +546,9 @@ impl Writer {
                 }
                 batch_count += 1;
             }
+            gauge!(observe::STORE_WAITING).set(self.batches.len() as f64);
+            counter!(observe::STORE_WRITES).increment(writes.len() as u64);
+            let begun = Instant::now();
             if first_error.is_none()
                 && !writes.is_empty()
                 && let Err(error) = self.journal.commit(&writes)
@@ -467,6 +557,9 @@ impl Writer {
                 self.store_failed.store(true, Ordering::Release);
                 self.failed.send_replace(true);
                 first_error = Some(error);
+            }
+            if !writes.is_empty() {
+                histogram!(observe::STORE_COMMIT).record(begun.elapsed());
             }
             writes.clear();
             for effect in others.drain(..) {

@@ -7,7 +7,10 @@
 use crate::{config::GatewayConfig, fleet::FleetConfig};
 use keys::Keys;
 use serde::{Deserialize, Deserializer, de};
-use std::path::{Path, PathBuf};
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+};
 
 /// The file with every option commented out at its default.
 pub const DEFAULTS: &str = include_str!("fleet.toml");
@@ -37,6 +40,8 @@ pub struct Network {
     /// Prefix of all keys.
     #[serde(deserialize_with = "prefix")]
     pub prefix: Option<Keys>,
+    /// Where metrics and health are served by HTTP.
+    pub http: Option<SocketAddr>,
     /// Folder of a secured fleet.
     pub secure: Option<PathBuf>,
     /// Whether to look for other routers by multicast.
@@ -139,6 +144,7 @@ impl Settings {
         config.connect = network.connect.unwrap_or_default();
         config.keys = network.prefix.unwrap_or_default();
         config.secure = network.secure;
+        config.http = network.http;
         config.scouting = network.scouting.unwrap_or(false);
         let FleetConfig {
             silence_us,
@@ -208,7 +214,9 @@ mod tests {
             fleet,
         } = Settings::parse(&switched_on()).expect("legal");
         assert!(network.listen.is_some() && network.prefix.is_some() && network.scouting.is_some());
-        assert!(DEFAULTS.contains("# connect = ") && DEFAULTS.contains("# secure = "));
+        for name in ["connect", "secure", "http"] {
+            assert!(DEFAULTS.contains(&format!("# {name} = ")), "{name}");
+        }
         assert!(store.file.is_some() && store.keep_jobs.is_some());
         let bounds = [
             fleet.nodes,

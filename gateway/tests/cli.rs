@@ -1,9 +1,10 @@
 //! The program `fleet` as an operator or a script meets it.
 
 use assert_cmd::Command;
+use keys::record::JobState;
 use std::{
-    io::{BufRead, BufReader},
-    net::Ipv4Addr,
+    io::{BufRead, BufReader, Read, Write},
+    net::{Ipv4Addr, TcpStream},
     process::{Child, Stdio},
     time::Duration,
 };
@@ -53,6 +54,7 @@ fn verbs() -> Vec<&'static str> {
 struct Gateway {
     process: Child,
     connect: String,
+    http: String,
     _store: tempfile::TempDir,
 }
 
@@ -74,7 +76,14 @@ impl Gateway {
     fn run(mut program: std::process::Command) -> Self {
         let store = tempfile::tempdir().expect("a directory");
         let mut process = program
-            .args(["serve", "--listen", "tcp/127.0.0.1:0", "--json", "--store"])
+            .args([
+                "serve",
+                "--listen",
+                "tcp/127.0.0.1:0",
+                "--http",
+                "127.0.0.1:0",
+            ])
+            .args(["--json", "--store"])
             .arg(store.path().join("fleet.redb"))
             .env("RUST_LOG", "error")
             .stdout(Stdio::piped())
@@ -87,15 +96,34 @@ impl Gateway {
             .expect("a line");
         let ready: serde_json::Value = serde_json::from_str(&line).expect("JSON");
         let connect = ready["locators"][0].as_str().expect("text").to_owned();
+        let http = ready["http"].as_str().expect("text").to_owned();
         Self {
             process,
             connect,
+            http,
             _store: store,
         }
     }
 
     fn fleet(&self, line: &[&str]) -> Ran {
         fleet(&[line, &["--connect", &self.connect], &PATIENT].concat())
+    }
+}
+
+impl Gateway {
+    /// Asks by HTTP; returns status and body.
+    fn http(&self, path: &str) -> (u16, String) {
+        let mut socket = TcpStream::connect(&self.http).expect("connected");
+        let request = format!("GET {path} HTTP/1.1\r\nHost: fleet\r\nConnection: close\r\n\r\n");
+        socket.write_all(request.as_bytes()).expect("sent");
+        let mut answer = String::new();
+        socket.read_to_string(&mut answer).expect("UTF-8");
+        let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
+        let status = head
+            .split(' ')
+            .nth(1)
+            .and_then(|status| status.parse().ok());
+        (status.expect("a status"), body.to_owned())
     }
 }
 
@@ -206,6 +234,36 @@ fn a_secured_fleet_is_made_its_users_come_and_go_and_exposed_credentials_are_ref
         assert_eq!(ran.code, Some(2), "{}", ran.err);
         assert!(ran.err.contains("mode 644"), "{}", ran.err);
     }
+}
+
+#[test]
+#[cfg(unix)]
+fn metrics_and_health_are_served_by_http() {
+    let gateway = Gateway::start();
+    let _token = show_node(&gateway.connect);
+    let (status, body) = gateway.http("/healthz");
+    assert_eq!(status, 200, "{body}");
+    // A job that is accepted has been written, and that is counted before its receipt leaves.
+    let job = r#"{"id": "one", "commands": [{"pause": {"ms": 1}}]}"#;
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("one.json");
+    std::fs::write(&file, job).expect("written");
+    let ran = gateway.fleet(&["submit", file.to_str().expect("UTF-8"), "--node", "left"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let (status, body) = gateway.http("/metrics");
+    assert_eq!(status, 200, "{body}");
+    let value = |series: &str| {
+        let line = body.lines().find_map(|line| line.strip_prefix(series));
+        line.and_then(|rest| rest.trim().parse::<f64>().ok())
+    };
+    assert!(value("stepfleet_store_writes_total") >= Some(1.0), "{body}");
+    assert!(
+        value("stepfleet_store_commit_seconds_count") >= Some(1.0),
+        "{body}"
+    );
+    let jobs = JobState::ALL.map(|state| value(&format!("stepfleet_jobs{{state=\"{state}\"}}")));
+    assert_eq!(jobs.into_iter().flatten().sum::<f64>(), 1.0, "{body}");
+    assert_eq!(gateway.http("/other").0, 404);
 }
 
 #[test]

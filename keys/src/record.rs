@@ -279,6 +279,17 @@ pub enum NodeWord {
 }
 
 impl NodeWord {
+    /// Every word.
+    pub const ALL: [Self; 7] = [
+        Self::Offline,
+        Self::Idle,
+        Self::Ready,
+        Self::Running,
+        Self::Paused,
+        Self::Stopped,
+        Self::Fault,
+    ];
+
     /// Returns the word that clients see.
     pub const fn as_str(self) -> &'static str {
         match self {

@@ -201,6 +201,10 @@ pub(crate) struct Serve {
     #[arg(long, value_name = "DIR", env = "FLEET_SECURE", conflicts_with_all = ["connect", "users"])]
     pub(crate) secure: Option<PathBuf>,
 
+    /// Serve /metrics (Prometheus) and /healthz by HTTP, for example on 127.0.0.1:9447.
+    #[arg(long, value_name = "HOST:PORT", env = "FLEET_HTTP")]
+    pub(crate) http: Option<std::net::SocketAddr>,
+
     /// Look for other zenoh routers by multicast, and let yourself be found.
     #[arg(long)]
     pub(crate) scouting: bool,

@@ -8,7 +8,7 @@ use crate::{
 use gateway::{
     bus::zenoh::BusError,
     config::GatewayConfig,
-    service::{self, ServiceError},
+    service::{self, Ready, ServiceError},
     settings::{DEFAULTS, Settings},
 };
 
@@ -18,12 +18,19 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
     let joined = !config.connect.is_empty();
     let open = config.secure.is_none();
     let json = common.json;
-    let ready = move |locators: &[String]| {
+    let ready = move |ready: Ready<'_>| {
+        let Ready { locators, http } = ready;
         if json {
-            show::line(&serde_json::json!({ "ready": true, "locators": locators }).to_string());
+            let ready = serde_json::json!({ "ready": true, "locators": locators, "http": http });
+            show::line(&ready.to_string());
             return;
         }
         let locators = locators.join(", ");
+        if let Some(http) = http {
+            show::line(&format!(
+                "metrics on http://{http}/metrics, health on /healthz"
+            ));
+        }
         if joined {
             show::line(&format!("the gateway is ready, connected to {locators}"));
         } else {
@@ -83,6 +90,9 @@ fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
     }
     if serve.secure.is_some() {
         config.secure.clone_from(&serve.secure);
+    }
+    if serve.http.is_some() {
+        config.http = serve.http;
     }
     config.users.clone_from(&serve.users);
     config.credentials = credentials(common)?;
