@@ -1,0 +1,193 @@
+//! Who calls whom, once a frame: what was heard into the model, the panels on the screen, what was
+//! asked to the link.
+
+use crate::{
+    keyboard::{self, Action},
+    link::Link,
+    message::{Message, Moment},
+    model::Model,
+    panels,
+    request::{Request, Requests, Scope, Ticket},
+    theme,
+    view::{Tab, View},
+};
+use egui::{CentralPanel, Panel, Ui};
+use keys::StopMode;
+use std::time::Duration;
+
+/// Least time between two frames that messages cause: 20 frames a second are smooth for numbers.
+pub const FRAME_EVERY: Duration = Duration::from_millis(50);
+
+/// Longest time between two frames: ages grow without messages.
+pub const FRAME_AT_LEAST_EVERY: Duration = Duration::from_secs(1);
+
+/// Where the view is kept between runs.
+const VIEW_KEY: &str = "view";
+
+/// The window without the window: model, view and what was asked. Tests drive this.
+#[derive(Default)]
+pub struct Dashboard {
+    /// What is known.
+    pub model: Model,
+    /// What is looked at.
+    pub view: View,
+    /// What was asked and not yet handed over.
+    pub requests: Requests,
+}
+
+impl Dashboard {
+    /// Shows everything.
+    pub fn ui(&mut self, ui: &mut Ui) {
+        for action in keyboard::pressed(ui.ctx()) {
+            self.act(action);
+        }
+        let Self {
+            model,
+            view,
+            requests,
+        } = self;
+        Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
+        if panels::stop::is_shown(model, view) {
+            Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
+        }
+        Panel::bottom("lower")
+            .resizable(true)
+            .default_size(230.0)
+            .min_size(90.0)
+            .show(ui, |ui| lower_ui(ui, model, view, requests));
+        Panel::left("groups")
+            .resizable(true)
+            .default_size(180.0)
+            .show(ui, |ui| {
+                panels::groups::groups_ui(ui, model, view, requests);
+            });
+        if view.focus.is_some() {
+            Panel::right("node")
+                .resizable(true)
+                .default_size(330.0)
+                .show(ui, |ui| panels::node::node_ui(ui, model, view, requests));
+        }
+        CentralPanel::default().show(ui, |ui| {
+            panels::fleet::fleet_ui(ui, model, view, requests);
+        });
+        panels::release::release_ui(ui, model, view, requests);
+        panels::help::help_ui(ui, view);
+    }
+
+    /// Does what a key says.
+    fn act(&mut self, action: Action) {
+        let view = &mut self.view;
+        match action {
+            Action::StopAll => {
+                let (scope, mode) = (Scope::All, StopMode::Halt);
+                self.requests.push(Request::Stop { scope, mode });
+            }
+            Action::Help => view.help_open = !view.help_open,
+            Action::Filter => view.fleet.take_focus = true,
+            Action::Jobs => view.tab = Tab::Jobs,
+            Action::Compose => {
+                view.tab = Tab::Compose;
+                view.composer.target_nodes(&view.selection);
+            }
+            Action::Log => view.tab = Tab::Log,
+            Action::Close => {
+                if view.help_open {
+                    view.help_open = false;
+                } else if view.stop.releasing.take().is_none() {
+                    view.focus = None;
+                }
+            }
+            Action::SelectAll => {
+                let shown = panels::fleet::shown(&self.model, view);
+                view.selection = shown.into_iter().map(|node| node.id()).collect();
+            }
+        }
+    }
+
+    /// Returns what was asked since the last call, after the model has been told at `now`.
+    pub fn take_requests(&mut self, now: Moment) -> Vec<(Ticket, Request)> {
+        let asked = self.requests.take();
+        for (ticket, request) in &asked {
+            let ticket = *ticket;
+            let message = match request {
+                Request::Stop { scope, mode } => Message::StopAsked {
+                    ticket,
+                    scope: scope.clone(),
+                    mode: *mode,
+                },
+                Request::Release { scope } => Message::ReleaseAsked {
+                    ticket,
+                    scope: scope.clone(),
+                },
+                Request::Submit { target, text, .. } => Message::JobAsked {
+                    ticket,
+                    target: target.to_string(),
+                    payload: text.clone(),
+                },
+                Request::Cancel { .. } | Request::Refresh | Request::Connect { .. } => continue,
+            };
+            self.model.apply(now, message);
+        }
+        asked
+    }
+}
+
+fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+    ui.horizontal(|ui| {
+        for tab in Tab::ALL {
+            ui.selectable_value(&mut view.tab, tab, tab.title());
+        }
+    });
+    ui.separator();
+    match view.tab {
+        Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
+        Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
+        Tab::Log => panels::log::log_ui(ui, model, view),
+    }
+}
+
+/// The program in its window.
+pub struct App {
+    dashboard: Dashboard,
+    link: Link,
+}
+
+impl App {
+    /// Restores the view of the last run.
+    pub fn new(creation: &eframe::CreationContext<'_>, link: Link) -> Self {
+        theme::apply(&creation.egui_ctx);
+        let stored = creation
+            .storage
+            .and_then(|storage| eframe::get_value(storage, VIEW_KEY));
+        let dashboard = Dashboard {
+            view: stored.unwrap_or_default(),
+            ..Dashboard::default()
+        };
+        Self { dashboard, link }
+    }
+}
+
+impl eframe::App for App {
+    fn logic(&mut self, _ctx: &egui::Context, _frame: &mut eframe::Frame) {
+        for (at, message) in self.link.heard() {
+            self.dashboard.model.apply(at, message);
+        }
+        self.dashboard.model.tick(self.link.now());
+    }
+
+    fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
+        self.dashboard.ui(ui);
+        let asked = self.dashboard.take_requests(self.link.now());
+        if !asked.is_empty() {
+            ui.ctx().request_repaint();
+        }
+        for (ticket, request) in asked {
+            self.link.ask(ticket, request);
+        }
+        ui.ctx().request_repaint_after(FRAME_AT_LEAST_EVERY);
+    }
+
+    fn save(&mut self, storage: &mut dyn eframe::Storage) {
+        eframe::set_value(storage, VIEW_KEY, &self.dashboard.view);
+    }
+}

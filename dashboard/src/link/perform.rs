@@ -1,0 +1,249 @@
+//! What the operator asked for becomes puts and gets; what comes back becomes answers.
+
+use super::{inbox::Inbox, session::inbox_sample};
+use crate::{
+    message::{Answer, LinkEvent, Message},
+    request::{Language, Request, Scope, Target, Ticket},
+};
+use keys::{
+    JobId, Keys, NodeId, NodeTopic, Stop, StopMode, Topic,
+    record::{ErrorCode, ErrorReply, JobError, Receipt},
+};
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
+use zenoh::{
+    Session,
+    bytes::Encoding,
+    handlers::FifoChannel,
+    qos::{CongestionControl, Priority},
+    query::ConsolidationMode,
+    sample::Sample,
+};
+
+/// Longest wait for an answer of the gateway.
+const ANSWER_MAX: Duration = Duration::from_secs(5);
+
+/// Replies that wait to be read; more wait in zenoh.
+const REPLIES_MAX: usize = 1_024;
+
+/// Job records that are asked for at the start.
+const JOBS_ASKED: usize = 500;
+
+/// Performs requests on one session.
+#[derive(Clone)]
+pub(super) struct Performer {
+    session: Session,
+    keys: Keys,
+    inbox: Arc<Inbox>,
+    gateway: Arc<std::sync::atomic::AtomicBool>,
+}
+
+/// One reply: a sample, or the gateway's refusal.
+type Reply = Result<Sample, JobError>;
+
+impl Performer {
+    pub(super) fn new(session: Session, keys: Keys, inbox: Arc<Inbox>) -> Self {
+        Self {
+            session,
+            keys,
+            inbox,
+            gateway: Arc::default(),
+        }
+    }
+
+    /// Begins to perform a request; nothing waits for its end.
+    pub(super) fn begin(&self, ticket: Ticket, request: Request) {
+        let performer = self.clone();
+        tokio::spawn(async move {
+            let answer = performer.perform(request).await;
+            let answer = answer.unwrap_or_else(|error| Answer::Failed(format!("zenoh: {error}")));
+            performer.inbox.push(Message::Answer { ticket, answer });
+        });
+    }
+
+    /// Begins to ask whether a gateway is there; everything else too when one has come.
+    pub(super) fn probe(&self) {
+        let performer = self.clone();
+        tokio::spawn(async move {
+            // A gateway answers for every job, if only that there is none.
+            let nobody = JobId::new("gateway").expect("a name");
+            let key = performer.keys.job(&nobody);
+            let replies = performer.get(key.as_str(), None).await;
+            let present = replies.is_ok_and(|replies| !replies.is_empty());
+            let event = LinkEvent::Gateway { present };
+            performer.inbox.push(Message::Link(event));
+            let was = performer
+                .gateway
+                .swap(present, std::sync::atomic::Ordering::Relaxed);
+            if present && !was {
+                performer.refresh();
+            }
+        });
+    }
+
+    /// Begins to ask for all node records and the newest job records.
+    pub(super) fn refresh(&self) {
+        let jobs = format!("{}?limit={JOBS_ASKED}", self.keys.every_job());
+        let nodes = self.keys.every_node(NodeTopic::State).as_str().to_owned();
+        for selector in [nodes, jobs] {
+            let performer = self.clone();
+            tokio::spawn(async move {
+                // Without an answer the next probe finds that out.
+                for sample in performer.get(&selector, None).await.into_iter().flatten() {
+                    if let Ok(sample) = sample {
+                        inbox_sample(&performer.keys, &performer.inbox, &sample);
+                    }
+                }
+            });
+        }
+    }
+
+    async fn perform(&self, request: Request) -> zenoh::Result<Answer> {
+        match request {
+            Request::Stop { scope, mode } => self.stop(&scope, mode).await,
+            Request::Release { scope } => {
+                let mut replies = Vec::new();
+                for chunk in scope.chunks() {
+                    let key = format!("{}/node/{chunk}/release", self.keys.prefix());
+                    replies.extend(self.get(&key, None).await?);
+                }
+                Ok(self.done(replies))
+            }
+            Request::Cancel { job } => {
+                let key = self.keys.job_cancel(&job);
+                let replies = self.get(key.as_str(), None).await?;
+                Ok(self.done(replies))
+            }
+            Request::Submit {
+                target,
+                language,
+                text,
+            } => self.submit(&target, language, text).await,
+            Request::Refresh => {
+                self.refresh();
+                Ok(Answer::Sent)
+            }
+            // The session's loop has taken it.
+            Request::Connect { .. } => Ok(Answer::Sent),
+        }
+    }
+
+    async fn stop(&self, scope: &Scope, mode: StopMode) -> zenoh::Result<Answer> {
+        for chunk in scope.chunks() {
+            let key = format!("{}/node/{chunk}/stop", self.keys.prefix());
+            self.session
+                .put(key, Stop { mode }.to_payload())
+                .encoding(Encoding::APPLICATION_JSON)
+                .priority(Priority::RealTime)
+                .congestion_control(CongestionControl::Block)
+                .express(true)
+                .await?;
+        }
+        Ok(Answer::Sent)
+    }
+
+    async fn submit(
+        &self,
+        target: &Target,
+        language: Language,
+        text: String,
+    ) -> zenoh::Result<Answer> {
+        let key = match target {
+            Target::Node(chunk) => format!("{}/node/{chunk}/job", self.keys.prefix()),
+            Target::Group(group) => self.keys.group_job(group).as_str().to_owned(),
+        };
+        let encoding = match language {
+            Language::Json => Encoding::APPLICATION_JSON,
+            Language::Lua => Encoding::from("text/x-lua"),
+        };
+        let replies = self.get(&key, Some((text, encoding))).await?;
+        if replies.is_empty() {
+            return Ok(no_answer());
+        }
+        let receipts = replies.into_iter().map(|reply| {
+            let payload = reply?.payload().to_bytes().into_owned();
+            serde_json::from_slice::<Receipt>(&payload).map_err(|error| {
+                JobError::new(ErrorCode::Internal, format!("unreadable receipt: {error}"))
+            })
+        });
+        Ok(Answer::Receipts(receipts.collect()))
+    }
+
+    /// Counts replies that are records, and hands the records on.
+    fn done(&self, replies: Vec<Reply>) -> Answer {
+        if replies.is_empty() {
+            return no_answer();
+        }
+        let (mut count, mut refused) = (0, Vec::new());
+        for reply in replies {
+            match reply {
+                Ok(sample) => {
+                    count += 1;
+                    inbox_sample(&self.keys, &self.inbox, &sample);
+                }
+                Err(error) => refused.push(error),
+            }
+        }
+        Answer::Done { count, refused }
+    }
+
+    async fn get(
+        &self,
+        selector: &str,
+        payload: Option<(String, Encoding)>,
+    ) -> zenoh::Result<Vec<Reply>> {
+        // Without consolidation nothing is held back until the last reply.
+        let mut get = self
+            .session
+            .get(selector)
+            .consolidation(ConsolidationMode::None)
+            .with(FifoChannel::new(REPLIES_MAX))
+            .timeout(ANSWER_MAX);
+        if let Some((payload, encoding)) = payload {
+            get = get.payload(payload).encoding(encoding);
+        }
+        let replies = get.await?;
+        let mut answers = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.into_result() {
+                Ok(sample) => answers.push(Ok(sample)),
+                Err(error) => {
+                    let payload = error.payload().to_bytes();
+                    // What is no refusal is zenoh's own word that the time is over.
+                    let error = serde_json::from_slice::<ErrorReply>(&payload)
+                        .map(|reply| reply.error)
+                        .map_err(|_| format!("no answer within {} s", ANSWER_MAX.as_secs_f64()))?;
+                    answers.push(Err(error));
+                }
+            }
+        }
+        Ok(answers)
+    }
+}
+
+fn no_answer() -> Answer {
+    Answer::Failed("no gateway answers".to_owned())
+}
+
+/// Returns the nodes whose token is there.
+pub(super) async fn tokens(
+    session: &Session,
+    keys: &Keys,
+    expression: &str,
+) -> zenoh::Result<BTreeSet<NodeId>> {
+    let liveliness = session.liveliness();
+    let replies = liveliness
+        .get(expression)
+        .with(FifoChannel::new(REPLIES_MAX))
+        .timeout(ANSWER_MAX)
+        .await?;
+    let mut nodes = BTreeSet::new();
+    while let Ok(reply) = replies.recv_async().await {
+        if let Ok(sample) = reply.result()
+            && let Some(Topic::Node { node, .. }) = keys.parse(sample.key_expr().as_str())
+            && let Ok(node) = NodeId::new(node)
+        {
+            nodes.insert(node);
+        }
+    }
+    Ok(nodes)
+}

@@ -1,0 +1,374 @@
+//! One zenoh session after the other: connect, listen, notice the end, connect again.
+
+use super::{
+    Asked, CONNECT_DEFAULT, Credentials, LinkConfig, Place,
+    inbox::Inbox,
+    perform::{self, Performer},
+};
+use crate::{
+    message::{Answer, LinkEvent, Message},
+    request::Request,
+};
+use keys::{
+    Keys, NodeId, NodeTopic, Status, Topic,
+    record::{JobRecord, NodeRecord},
+    version,
+};
+use std::{
+    collections::BTreeSet,
+    pin::pin,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+use tokio::{sync::mpsc, time::MissedTickBehavior};
+use zenoh::{Session, sample::Sample, sample::SampleKind};
+
+/// Pause between two attempts.
+const RETRY_EVERY: Duration = Duration::from_secs(1);
+
+/// Longest wait for a session to close.
+const CLOSE_MAX: Duration = Duration::from_secs(1);
+
+/// Longest attempt.
+const OPEN_MAX: Duration = Duration::from_secs(5);
+
+/// Time between two looks whether the router is still there.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// Looks between two questions whether a gateway is there: every 2 s.
+const LOOKS_PER_PROBE: u32 = 8;
+
+/// Longest log line that is taken whole, bytes.
+const LINE_BYTES_MAX: usize = 16 << 10;
+
+/// The link's ends of the channels.
+pub(super) struct Ends {
+    pub(super) urgent: mpsc::Receiver<Asked>,
+    pub(super) ordinary: mpsc::Receiver<Asked>,
+}
+
+impl Ends {
+    /// Returns the next request, stops first; `None` when the window is gone.
+    ///
+    /// # Cancellation safety
+    /// Nothing is lost.
+    async fn next(&mut self) -> Option<Asked> {
+        tokio::select! {
+            biased;
+            asked = self.urgent.recv() => asked,
+            asked = self.ordinary.recv() => asked,
+        }
+    }
+}
+
+/// Why a session or a pause ended.
+enum End {
+    /// The window is gone.
+    Quit,
+    /// The operator wants to go elsewhere.
+    Move(Option<String>),
+    /// The link is down, for this reason.
+    Down(String),
+}
+
+/// Runs until the window is gone.
+pub(super) async fn run(config: LinkConfig, inbox: Arc<Inbox>, mut ends: Ends) {
+    let LinkConfig {
+        mut place,
+        keys,
+        credentials,
+    } = config;
+    let tokens = Arc::new(Mutex::new(Tokens::default()));
+    loop {
+        let (to, opened) = match refusing(&mut ends, &inbox, async {
+            let places: &[Option<&str>] = match &place {
+                Place::At(locator) => &[Some(locator.as_str())],
+                Place::Scouted => &[None],
+                Place::Automatic => &[Some(CONNECT_DEFAULT), None],
+            };
+            open_any(places, credentials.as_ref(), &inbox).await
+        })
+        .await
+        {
+            Ok(Ok((to, session))) => (to, Ok(session)),
+            Ok(Err(why)) => (String::new(), Err(End::Down(why))),
+            Err(end) => (String::new(), Err(end)),
+        };
+        let end = match opened {
+            Err(end) => end,
+            Ok(session) => {
+                inbox.push(Message::Link(LinkEvent::Connected { to }));
+                let end = listen(&session, &keys, &inbox, &tokens, &mut ends).await;
+                // The session may be dead already.
+                let _ = tokio::time::timeout(CLOSE_MAX, session.close()).await;
+                end
+            }
+        };
+        let end = match end {
+            End::Down(why) => {
+                inbox.push(Message::Link(LinkEvent::Down { why }));
+                let pause = refusing(&mut ends, &inbox, tokio::time::sleep(RETRY_EVERY)).await;
+                match pause {
+                    Ok(()) => continue,
+                    Err(end) => end,
+                }
+            }
+            end => end,
+        };
+        match end {
+            End::Quit => return,
+            End::Move(to) => {
+                place = to.map_or(Place::Scouted, Place::At);
+                let why = "the operator connects elsewhere".to_owned();
+                inbox.push(Message::Link(LinkEvent::Down { why }));
+            }
+            End::Down(_) => {}
+        }
+    }
+}
+
+/// Tries one place after the other and returns the words for the first that opens.
+async fn open_any(
+    places: &[Option<&str>],
+    credentials: Option<&Credentials>,
+    inbox: &Inbox,
+) -> Result<(String, Session), String> {
+    let mut failures = Vec::new();
+    for locator in places {
+        let to = locator.unwrap_or("a router found by scouting").to_owned();
+        inbox.push(Message::Link(LinkEvent::Connecting { to: to.clone() }));
+        match open(*locator, credentials).await {
+            Ok(session) => return Ok((to, session)),
+            Err(why) => failures.push(why),
+        }
+    }
+    Err(failures.join("; "))
+}
+
+/// Waits for the future and refuses what is asked meanwhile.
+async fn refusing<T>(
+    ends: &mut Ends,
+    inbox: &Inbox,
+    future: impl Future<Output = T>,
+) -> Result<T, End> {
+    let mut future = pin!(future);
+    loop {
+        tokio::select! {
+            biased;
+            asked = ends.next() => match asked {
+                None => return Err(End::Quit),
+                Some((_, Request::Connect { to })) => return Err(End::Move(to)),
+                Some((ticket, request)) => {
+                    let why = match request {
+                        Request::Stop { .. } =>
+                            "NOT SENT: there is no link. Use the stop buttons of the machines",
+                        _ => "not sent: there is no link",
+                    };
+                    let answer = Answer::Failed(why.to_owned());
+                    inbox.push(Message::Answer { ticket, answer });
+                }
+            },
+            output = &mut future => return Ok(output),
+        }
+    }
+}
+
+async fn open(locator: Option<&str>, credentials: Option<&Credentials>) -> Result<Session, String> {
+    let text = |value: &str| serde_json::Value::from(value).to_string();
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: String| {
+        config
+            .insert_json5(key, &value)
+            .map_err(|_| format!("{value} is no address: tcp/HOST:PORT"))
+    };
+    set("mode", text("client"))?;
+    match locator {
+        Some(locator) => {
+            set("connect/endpoints", format!("[{}]", text(locator)))?;
+            set("scouting/multicast/enabled", "false".to_owned())?;
+        }
+        None => set("scouting/multicast/enabled", "true".to_owned())?,
+    }
+    if let Some(credentials) = credentials {
+        set("transport/auth/usrpwd/user", text(&credentials.user))?;
+        let password = text(&credentials.password);
+        set("transport/auth/usrpwd/password", password)?;
+    }
+    let nobody = || match locator {
+        Some(locator) => {
+            format!("nothing that speaks zenoh answers at {locator}, or it asks for another user")
+        }
+        None => "scouting found no router".to_owned(),
+    };
+    match tokio::time::timeout(OPEN_MAX, zenoh::open(config)).await {
+        Ok(Ok(session)) => Ok(session),
+        Ok(Err(_)) | Err(_) => Err(nobody()),
+    }
+}
+
+/// Which liveliness tokens the model was told to be there.
+#[derive(Default)]
+struct Tokens {
+    told: BTreeSet<NodeId>,
+    // Of this session.
+    seen: BTreeSet<NodeId>,
+}
+
+async fn listen(
+    session: &Session,
+    keys: &Keys,
+    inbox: &Arc<Inbox>,
+    tokens: &Arc<Mutex<Tokens>>,
+    ends: &mut Ends,
+) -> End {
+    tokens
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .seen
+        .clear();
+    if let Err(error) = subscribe(session, keys, inbox, tokens).await {
+        return End::Down(format!("zenoh: {error}"));
+    }
+    let performer = Performer::new(session.clone(), keys.clone(), Arc::clone(inbox));
+    let mut looks = 0_u32;
+    let mut ticks = tokio::time::interval(LOOK_EVERY);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            biased;
+            asked = ends.next() => match asked {
+                None => return End::Quit,
+                Some((_, Request::Connect { to })) => return End::Move(to),
+                Some((ticket, request)) => performer.begin(ticket, request),
+            },
+            _ = ticks.tick() => {
+                if session.info().routers_zid().await.next().is_none() {
+                    return End::Down("the router is gone".to_owned());
+                }
+                if looks % LOOKS_PER_PROBE == 0 {
+                    performer.probe();
+                }
+                if inbox.take_incomplete() {
+                    performer.refresh();
+                }
+                looks = looks.wrapping_add(1);
+                if looks == 2 {
+                    forget_the_gone(session, keys, inbox, tokens).await;
+                }
+            }
+        }
+    }
+}
+
+/// Tells of nodes that were there in the last session and are not in this one.
+async fn forget_the_gone(session: &Session, keys: &Keys, inbox: &Inbox, tokens: &Mutex<Tokens>) {
+    let key = keys.every_node(NodeTopic::Alive);
+    let Ok(alive) = perform::tokens(session, keys, key.as_str()).await else {
+        return;
+    };
+    let mut tokens = tokens.lock().unwrap_or_else(PoisonError::into_inner);
+    let there = |node: &NodeId| alive.contains(node) || tokens.seen.contains(node);
+    let gone: Vec<NodeId> = tokens
+        .told
+        .iter()
+        .filter(|node| !there(node))
+        .copied()
+        .collect();
+    for node in gone {
+        tokens.told.remove(&node);
+        inbox.push(Message::Alive { node, alive: false });
+    }
+}
+
+async fn subscribe(
+    session: &Session,
+    keys: &Keys,
+    inbox: &Arc<Inbox>,
+    tokens: &Arc<Mutex<Tokens>>,
+) -> zenoh::Result<()> {
+    let topics = [NodeTopic::Status, NodeTopic::State, NodeTopic::Log];
+    let mut expressions: Vec<String> = Vec::new();
+    expressions.extend(topics.map(|topic| keys.every_node(topic).as_str().to_owned()));
+    expressions.push(keys.every_job().as_str().to_owned());
+    for expression in expressions {
+        let (keys, inbox) = (keys.clone(), Arc::clone(inbox));
+        session
+            .declare_subscriber(expression)
+            .callback(move |sample| inbox_sample(&keys, &inbox, &sample))
+            .background()
+            .await?;
+    }
+    let (of_token, inbox, tokens) = (keys.clone(), Arc::clone(inbox), Arc::clone(tokens));
+    session
+        .liveliness()
+        .declare_subscriber(keys.every_node(NodeTopic::Alive).as_str())
+        .history(true)
+        .callback(move |sample| {
+            if let Some(node) = node_of(&of_token, &sample) {
+                let alive = sample.kind() == SampleKind::Put;
+                let mut tokens = tokens.lock().unwrap_or_else(PoisonError::into_inner);
+                if alive {
+                    tokens.told.insert(node);
+                    tokens.seen.insert(node);
+                } else {
+                    tokens.told.remove(&node);
+                    tokens.seen.remove(&node);
+                }
+                inbox.push(Message::Alive { node, alive });
+            }
+        })
+        .background()
+        .await
+}
+
+fn node_of(keys: &Keys, sample: &Sample) -> Option<NodeId> {
+    match keys.parse(sample.key_expr().as_str())? {
+        Topic::Node { node, .. } => NodeId::new(node).ok(),
+        Topic::GroupJob { .. } | Topic::Job { .. } | Topic::JobCancel { .. } => None,
+    }
+}
+
+/// Reads a sample and puts it into the inbox.
+pub(super) fn inbox_sample(keys: &Keys, inbox: &Inbox, sample: &Sample) {
+    let key = sample.key_expr().as_str();
+    let payload = sample.payload().to_bytes();
+    let message = match keys.parse(key) {
+        Some(Topic::Node { node, topic }) => {
+            let Ok(node) = NodeId::new(node) else { return };
+            node_message(node, topic, &payload)
+        }
+        Some(Topic::Job { .. }) => serde_json::from_slice::<JobRecord>(&payload)
+            .map(|record| Some(Message::Job(Box::new(record))))
+            .map_err(|error| error.to_string()),
+        _ => return,
+    };
+    match message {
+        Ok(Some(message)) => inbox.push(message),
+        Ok(None) => {}
+        Err(why) => inbox.push(Message::Unreadable {
+            key: key.to_owned(),
+            why,
+        }),
+    }
+}
+
+fn node_message(node: NodeId, topic: NodeTopic, payload: &[u8]) -> Result<Option<Message>, String> {
+    Ok(match topic {
+        NodeTopic::Status => {
+            let status: Status = version::decode(payload).map_err(|error| error.to_string())?;
+            let status = Box::new(status);
+            Some(Message::Status { node, status })
+        }
+        NodeTopic::State => {
+            let record: NodeRecord =
+                serde_json::from_slice(payload).map_err(|error| error.to_string())?;
+            Some(Message::Node(Box::new(record)))
+        }
+        NodeTopic::Log => {
+            let kept = &payload[..payload.len().min(LINE_BYTES_MAX)];
+            let text = String::from_utf8_lossy(kept).into_owned();
+            Some(Message::Log { node, text })
+        }
+        _ => None,
+    })
+}

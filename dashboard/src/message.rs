@@ -1,0 +1,160 @@
+//! Everything that can happen to the model, as the link heard it or the operator asked it.
+
+use crate::request::{Scope, Ticket};
+use keys::{
+    JobId, NodeId, Status, StopMode,
+    record::{JobError, JobRecord, NodeRecord, Receipt},
+};
+use serde::{Deserialize, Serialize};
+
+/// A moment on this computer: UTC in µs as it was told when the program started, moved on by the
+/// monotone clock since. It never jumps, so ages and durations are differences of two of them.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct Moment(pub u64);
+
+impl Moment {
+    /// Returns the time since `earlier` in s, zero if that lies ahead.
+    pub fn since_s(self, earlier: Self) -> f64 {
+        self.0.saturating_sub(earlier.0) as f64 / 1e6
+    }
+
+    /// Returns this moment moved later by `delay_us`.
+    #[must_use]
+    pub const fn plus_us(self, delay_us: u64) -> Self {
+        Self(self.0.saturating_add(delay_us))
+    }
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Message {
+    /// The link's own state changed.
+    Link(LinkEvent),
+    /// A node's liveliness token came or went.
+    Alive {
+        /// The node.
+        node: NodeId,
+        /// Whether the token is there.
+        alive: bool,
+    },
+    /// What the gateway says about a node.
+    Node(Box<NodeRecord>),
+    /// What a node says about itself.
+    Status {
+        /// The node.
+        node: NodeId,
+        /// Its own words.
+        status: Box<Status>,
+    },
+    /// A job changed, or is told for the first time.
+    Job(Box<JobRecord>),
+    /// A node wrote a line.
+    Log {
+        /// The node.
+        node: NodeId,
+        /// The line.
+        text: String,
+    },
+    /// A message that is none: another version, or broken.
+    Unreadable {
+        /// The key it came on.
+        key: String,
+        /// Why it cannot be read.
+        why: String,
+    },
+    /// Messages were dropped because the window did not take them in time.
+    Missed {
+        /// How many.
+        messages: u64,
+    },
+    /// The operator asked for a stop; the link is about to send it.
+    StopAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// Who shall stop.
+        scope: Scope,
+        /// How.
+        mode: StopMode,
+    },
+    /// The operator asked to lift the latch.
+    ReleaseAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// Whose.
+        scope: Scope,
+    },
+    /// The operator sent a job.
+    JobAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// The key's words, for a person: `node-1`, `cell-$*`, `group cut`.
+        target: String,
+        /// What was sent.
+        payload: String,
+    },
+    /// What became of a request.
+    Answer {
+        /// The request.
+        ticket: Ticket,
+        /// What became of it.
+        answer: Answer,
+    },
+}
+
+/// What became of the link.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LinkEvent {
+    /// It tries to connect.
+    Connecting {
+        /// Where: a locator, or words for scouting.
+        to: String,
+    },
+    /// A zenoh router answers.
+    Connected {
+        /// Where.
+        to: String,
+    },
+    /// Connected, and the question for a gateway was answered so.
+    Gateway {
+        /// Whether a gateway serves the prefix.
+        present: bool,
+    },
+    /// It could not connect, or was cut.
+    Down {
+        /// Why, for a person.
+        why: String,
+    },
+}
+
+/// What became of a request. What nodes do because of it they say themselves.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Answer {
+    /// It was handed to zenoh; no reply belongs to it.
+    Sent,
+    /// The gateway's receipts and refusals.
+    Receipts(Vec<Result<Receipt, JobError>>),
+    /// The gateway did it for so many; the rest it refused.
+    Done {
+        /// For how many nodes or jobs.
+        count: usize,
+        /// The refusals.
+        refused: Vec<JobError>,
+    },
+    /// It was never sent, or nobody answered.
+    Failed(String),
+}
+
+impl Answer {
+    /// Returns the job that a single receipt names.
+    pub fn jobs(&self) -> Vec<JobId> {
+        match self {
+            Self::Receipts(receipts) => {
+                let taken = receipts.iter().filter_map(|receipt| receipt.as_ref().ok());
+                taken.map(|receipt| receipt.job).collect()
+            }
+            Self::Sent | Self::Done { .. } | Self::Failed(_) => Vec::new(),
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! How much the model keeps, with the sums.
+
+/// Nodes. More are counted and not kept.
+pub const NODES_MAX: usize = 4_096;
+
+/// Statuses kept for each node: two minutes at 10/s. A sample has 128 bytes, so 500 nodes that move
+/// all the time fill 77 MB; idle ones (1/s) a tenth of that in the same two minutes.
+pub const SAMPLES_MAX: usize = 1_200;
+
+/// Clock estimates kept for each node: ten minutes at one a second, 24 bytes each.
+pub const CLOCKS_MAX: usize = 600;
+
+/// Least time between two kept clock estimates, s.
+pub const CLOCK_EVERY_S: f64 = 1.0;
+
+/// Lines of the log.
+pub const LOG_LINES_MAX: usize = 10_000;
+
+/// Longest line that is kept, bytes; the rest is cut off with a mark.
+pub const LOG_LINE_BYTES_MAX: usize = 2_000;
+
+/// Job records. The oldest are forgotten; the gateway still has them.
+pub const JOBS_MAX: usize = 2_000;
+
+/// Jobs sent from this window whose text is kept, to be sent again.
+pub const SENT_MAX: usize = 200;
+
+/// Longest kept text of a sent job, bytes. A longer one cannot be sent again from the history.
+pub const SENT_BYTES_MAX: usize = 1 << 20;
+
+/// Stops and releases that are remembered.
+pub const EFFORTS_MAX: usize = 20;
+
+/// A node that is there says something at least every second; three silent ones are worth a look, s.
+pub const STALE_AFTER_S: f64 = 3.0;

@@ -1,0 +1,12 @@
+//! The panels: what the model knows, on the screen. One noun a file, one function a panel.
+
+pub mod composer;
+pub mod fleet;
+pub mod groups;
+pub mod help;
+pub mod jobs;
+pub mod log;
+pub mod node;
+pub mod release;
+pub mod stop;
+pub mod top;

@@ -1,0 +1,32 @@
+//! The keys, shown by `?`.
+
+use crate::{keyboard, theme, view::View};
+use egui::{Align2, RichText, Ui, Window};
+
+/// Shows the keys, if they are asked for.
+pub fn help_ui(ui: &Ui, view: &mut View) {
+    if !view.help_open {
+        return;
+    }
+    let mut open = true;
+    Window::new("Keys")
+        .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
+        .collapsible(false)
+        .resizable(false)
+        .open(&mut open)
+        .show(ui.ctx(), |ui| {
+            egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
+                for (stroke, does) in keyboard::table() {
+                    ui.label(RichText::new(stroke).monospace().strong());
+                    ui.label(does);
+                    ui.end_row();
+                }
+                ui.label(RichText::new("click").monospace().strong());
+                ui.label("open a node's page; with Ctrl select several");
+                ui.end_row();
+            });
+            let words = "STOP ALL is a software stop. It replaces no emergency stop.";
+            ui.label(theme::toned(ui, theme::Tone::Warn, words));
+        });
+    view.help_open &= open;
+}

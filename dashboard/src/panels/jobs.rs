@@ -1,0 +1,286 @@
+//! Job records, newest first, and one of them in detail.
+
+use crate::{
+    model::Model,
+    request::{Request, Requests},
+    text,
+    theme::{self, Tone},
+    view::{Tab, View},
+};
+use egui::{Grid, Margin, Panel, RichText, ScrollArea, TextEdit, Ui};
+use egui_table::{CellInfo, Column, HeaderCellInfo, HeaderRow, Table, TableDelegate};
+use keys::{
+    JobId,
+    record::{JobRecord, JobState},
+};
+use serde::{Deserialize, Serialize};
+
+/// What the panel remembers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct JobsView {
+    /// What job, node, group or error must contain.
+    pub filter: String,
+    /// The state that is shown; all if `None`.
+    pub state: Option<JobState>,
+    /// The job whose detail is open.
+    #[serde(skip)]
+    pub open: Option<JobId>,
+    /// The job that shall be canceled, once more asked for.
+    #[serde(skip)]
+    pub canceling: Option<JobId>,
+}
+
+/// Returns the records that pass the filters, newest first.
+pub fn shown<'m>(model: &'m Model, view: &JobsView) -> Vec<&'m JobRecord> {
+    let words = view.filter.trim().to_lowercase();
+    model
+        .jobs()
+        .newest_first()
+        .filter(|record| view.state.is_none_or(|state| record.state == state))
+        .filter(|record| words.is_empty() || contains(record, &words))
+        .collect()
+}
+
+fn contains(record: &JobRecord, words: &str) -> bool {
+    let parts = record.parts.iter().flatten();
+    record.job.as_str().contains(words)
+        || whose(record).contains(words)
+        || parts
+            .into_iter()
+            .any(|(node, _)| node.as_str().contains(words))
+        || outcome(record).to_lowercase().contains(words)
+}
+
+/// Shows filters, list and detail.
+pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+    let rows = shown(model, &view.jobs);
+    ui.horizontal(|ui| {
+        let label = ui.label("Filter jobs");
+        let edit = TextEdit::singleline(&mut view.jobs.filter)
+            .hint_text("job, node or group")
+            .desired_width(180.0);
+        ui.add(edit).labelled_by(label.id);
+        let state = view.jobs.state.map_or("all states", JobState::as_str);
+        let label = ui.label("State");
+        egui::ComboBox::from_id_salt("job state")
+            .selected_text(state)
+            .show_ui(ui, |ui| {
+                ui.selectable_value(&mut view.jobs.state, None, "all states");
+                for state in JobState::ALL {
+                    let word = state.as_str();
+                    ui.selectable_value(&mut view.jobs.state, Some(state), word);
+                }
+            })
+            .response
+            .labelled_by(label.id);
+        let words = format!(
+            "{} of {}",
+            rows.len(),
+            text::count(model.jobs().len(), "job")
+        );
+        ui.label(theme::toned(ui, Tone::Quiet, words));
+    });
+    let open = view.jobs.open.and_then(|job| model.jobs().get(&job));
+    if let Some(record) = open {
+        Panel::right("job detail")
+            .resizable(true)
+            .default_size(380.0)
+            .show(ui, |ui| detail_ui(ui, model, view, record, requests));
+    }
+    if rows.is_empty() {
+        let words = if model.jobs().is_empty() {
+            "no jobs yet: compose one with Ctrl+N"
+        } else {
+            "no job passes the filter"
+        };
+        ui.label(theme::toned(ui, Tone::Quiet, words));
+        return;
+    }
+    let columns = WIDTHS.map(|width| Column::new(width).range(40.0..=900.0));
+    let count = rows.len() as u64;
+    let mut rows = Rows { view, rows };
+    Table::new()
+        .id_salt("jobs")
+        .num_rows(count)
+        .columns(columns)
+        .num_sticky_cols(1)
+        .headers([HeaderRow::new(theme::ROW_HEIGHT)])
+        .show(ui, &mut rows);
+}
+
+const TITLES: [&str; 6] = ["Job", "For", "State", "Done", "Created (UTC)", "Outcome"];
+const WIDTHS: [f32; 6] = [200.0, 110.0, 100.0, 90.0, 170.0, 420.0];
+
+struct Rows<'a> {
+    view: &'a mut View,
+    rows: Vec<&'a JobRecord>,
+}
+
+impl TableDelegate for Rows<'_> {
+    fn header_cell_ui(&mut self, ui: &mut Ui, cell: &HeaderCellInfo) {
+        ui.label(RichText::new(TITLES[cell.col_range.start]).strong());
+    }
+
+    fn cell_ui(&mut self, ui: &mut Ui, cell: &CellInfo) {
+        let Some(record) = self.rows.get(cell.row_nr as usize) else {
+            return;
+        };
+        egui::Frame::new()
+            .inner_margin(Margin::symmetric(4, 2))
+            .show(ui, |ui| {
+                let text = match cell.col_nr {
+                    0 => {
+                        let open = self.view.jobs.open == Some(record.job);
+                        let label = ui.selectable_label(open, record.job.as_str());
+                        if label.clicked() {
+                            self.view.jobs.open = (!open).then_some(record.job);
+                        }
+                        return;
+                    }
+                    1 => RichText::new(whose(record)),
+                    2 => theme::job_badge(record.state).text(ui),
+                    3 => RichText::new(progress(record)),
+                    4 => RichText::new(text::date_and_time(record.created)),
+                    _ => RichText::new(outcome(record)),
+                };
+                ui.add(egui::Label::new(text).truncate());
+            });
+    }
+
+    fn default_row_height(&self) -> f32 {
+        theme::ROW_HEIGHT
+    }
+}
+
+fn whose(record: &JobRecord) -> String {
+    match (record.node, record.group) {
+        (Some(node), _) => node.to_string(),
+        (None, Some(group)) => format!("group {group}"),
+        (None, None) => "–".to_owned(),
+    }
+}
+
+fn progress(record: &JobRecord) -> String {
+    format!("{}/{}", record.progress.done, record.progress.total)
+}
+
+fn outcome(record: &JobRecord) -> String {
+    match (&record.error, &record.start, &record.result) {
+        (Some(error), _, _) => error.to_string(),
+        (None, Some(start), _) => format!(
+            "started {} apart ± {}",
+            text::micros(start.skew_us),
+            text::micros(start.uncertainty_us)
+        ),
+        (None, None, Some(result)) => format!("at {}", text::positions(&result.position)),
+        (None, None, None) => String::new(),
+    }
+}
+
+fn detail_ui(
+    ui: &mut Ui,
+    model: &Model,
+    view: &mut View,
+    record: &JobRecord,
+    requests: &mut Requests,
+) {
+    ui.horizontal_wrapped(|ui| {
+        ui.heading(record.job.as_str());
+        theme::job_badge(record.state).show(ui);
+    });
+    ui.horizontal_wrapped(|ui| {
+        cancel_ui(ui, view, record, requests);
+        let sent = model.jobs().sent_as(&record.job);
+        let again = ui.add_enabled(sent.is_some(), egui::Button::new("Run again…"));
+        let again = again.on_hover_text("Opens it in the composer, under a new id");
+        let again = again.on_disabled_hover_text(
+            "Only jobs that this window sent since its start can be sent again",
+        );
+        if again.clicked()
+            && let Some(sent) = sent
+        {
+            view.composer.again(sent);
+            view.tab = Tab::Compose;
+        }
+        if ui.button("Close detail").clicked() {
+            view.jobs.open = None;
+        }
+    });
+    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        facts_ui(ui, record);
+        parts_ui(ui, record);
+    });
+}
+
+fn cancel_ui(ui: &mut Ui, view: &mut View, record: &JobRecord, requests: &mut Requests) {
+    if record.state.is_final() {
+        return;
+    }
+    if view.jobs.canceling == Some(record.job) {
+        if ui.button("Really cancel").clicked() {
+            requests.push(Request::Cancel { job: record.job });
+            view.jobs.canceling = None;
+        }
+        if ui.button("Let it run").clicked() {
+            view.jobs.canceling = None;
+        }
+    } else if ui.button("Cancel job…").clicked() {
+        view.jobs.canceling = Some(record.job);
+    }
+}
+
+fn facts_ui(ui: &mut Ui, record: &JobRecord) {
+    let mut facts = vec![
+        ("for", whose(record)),
+        ("done", format!("{} commands", progress(record))),
+        ("created", text::date_and_time(record.created)),
+        ("updated", text::date_and_time(record.updated)),
+        ("version", record.version.to_string()),
+    ];
+    if let Some(error) = &record.error {
+        facts.push(("error", error.to_string()));
+    }
+    if let Some(result) = &record.result {
+        facts.push(("final position", text::positions(&result.position)));
+        if let Some(returned) = &result.returned {
+            facts.push(("returned", returned.to_string()));
+        }
+    }
+    if let Some(start) = &record.start {
+        facts.push(("planned start", text::date_and_time(start.planned)));
+        facts.push(("start", outcome(record)));
+    }
+    Grid::new("job facts")
+        .num_columns(2)
+        .striped(true)
+        .show(ui, |ui| {
+            for (name, value) in facts {
+                ui.label(theme::toned(ui, Tone::Quiet, name));
+                ui.add(egui::Label::new(value).wrap());
+                ui.end_row();
+            }
+        });
+}
+
+fn parts_ui(ui: &mut Ui, record: &JobRecord) {
+    let Some(parts) = &record.parts else { return };
+    ui.separator();
+    ui.label("Parts, with the first edge of each after the earliest one");
+    Grid::new("parts")
+        .num_columns(4)
+        .striped(true)
+        .show(ui, |ui| {
+            for (node, part) in parts {
+                ui.label(node.as_str());
+                theme::job_badge(part.state).show(ui);
+                ui.label(format!("{}/{}", part.progress.done, part.progress.total));
+                let start = record.start.as_ref();
+                let skew = start.and_then(|start| start.by_node_us.get(node));
+                let error = part.error.as_ref().map(ToString::to_string);
+                let skew = skew.map(|us| format!("+{us:.1} µs"));
+                ui.label(error.or(skew).unwrap_or_default());
+                ui.end_row();
+            }
+        });
+}

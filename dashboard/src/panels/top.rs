@@ -1,0 +1,128 @@
+//! The bar that is always there: the fleet in numbers, the link, and STOP ALL.
+
+use crate::{
+    model::{
+        Model,
+        link::{LinkState, Phase},
+    },
+    request::{Request, Requests, Scope},
+    text,
+    theme::{self, Badge, Tone},
+    view::View,
+};
+use egui::{Align, Layout, RichText, Ui};
+use keys::StopMode;
+
+/// Shows the bar.
+pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+    ui.add_space(4.0);
+    ui.horizontal(|ui| {
+        ui.set_min_height(theme::STOP_ALL_SIZE.y);
+        stop_all_ui(ui, requests);
+        let totals = model.totals();
+        let stopped = totals.stopped > 0;
+        let release = ui.add_enabled(stopped, egui::Button::new("Release…"));
+        let release =
+            release.on_hover_text("Lift the stop latch of stopped nodes, in a second step");
+        let release = release.on_disabled_hover_text("no node is stopped");
+        if release.clicked() {
+            view.stop.releasing = Some(Scope::All);
+        }
+        ui.separator();
+        ui.vertical(|ui| {
+            ui.horizontal_wrapped(|ui| counts_ui(ui, model));
+            ui.horizontal_wrapped(|ui| {
+                link_ui(ui, model);
+                clock_ui(ui, totals.worst_clock_error_us, totals.clocks_unknown);
+            });
+        });
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            let help = ui.button("?").on_hover_text("Keys");
+            theme::named(&help, egui::Role::Button, "Keys");
+            if help.clicked() {
+                view.help_open = !view.help_open;
+            }
+            egui::global_theme_preference_buttons(ui);
+        });
+    });
+    ui.add_space(4.0);
+}
+
+fn stop_all_ui(ui: &mut Ui, requests: &mut Requests) {
+    let text = RichText::new("STOP ALL")
+        .size(24.0)
+        .strong()
+        .color(theme::STOP_TEXT);
+    let button = egui::Button::new(text)
+        .fill(theme::STOP_FILL)
+        .min_size(theme::STOP_ALL_SIZE);
+    let response = ui.add(button).on_hover_text(
+        "Every node halts at once (F1 or Ctrl+Space).\n\
+         A software stop: it needs the network and the nodes' programs. It replaces no emergency stop.",
+    );
+    if response.clicked() {
+        let (scope, mode) = (Scope::All, StopMode::Halt);
+        requests.push(Request::Stop { scope, mode });
+    }
+}
+
+fn counts_ui(ui: &mut Ui, model: &Model) {
+    let totals = model.totals();
+    let count = |ui: &mut Ui, tone: Tone, icon: &str, count: usize, word: &str| {
+        let tone = if count == 0 { Tone::Quiet } else { tone };
+        ui.label(theme::toned(ui, tone, format!("{icon} {count} {word}")));
+    };
+    count(ui, Tone::Good, "●", totals.alive, "alive");
+    count(ui, Tone::Busy, "▶", totals.running, "running");
+    count(ui, Tone::Warn, "⚠", totals.stale, "silent");
+    count(ui, Tone::Quiet, "○", totals.offline, "offline");
+    count(ui, Tone::Bad, "⏹", totals.stopped, "stopped");
+    let alarms = if totals.alarms == 1 {
+        "alarm"
+    } else {
+        "alarms"
+    };
+    count(ui, Tone::Bad, "⚠", totals.alarms, alarms);
+}
+
+fn link_ui(ui: &mut Ui, model: &Model) {
+    let link = model.link();
+    let badge = link_badge(link);
+    let since = text::age(model.now().since_s(link.since()));
+    let words = match link.phase() {
+        Phase::Up => format!("{} to {}", badge.word, link.to()),
+        Phase::Connecting => format!("{} to {}", badge.word, link.to()),
+        Phase::Down => format!("{} for {since}: what you see is old", badge.word),
+        Phase::Unused => badge.word.to_owned(),
+    };
+    let text = theme::toned(ui, badge.tone, format!("{} {words}", badge.icon));
+    let response = ui.label(text);
+    if let Some(why) = link.why() {
+        response.on_hover_text(format!("{why}. Trying {} again and again.", link.to()));
+    }
+}
+
+/// Returns the badge of the link.
+pub fn link_badge(link: &LinkState) -> Badge {
+    let (icon, word, tone) = match (link.phase(), link.gateway()) {
+        (Phase::Unused, _) => ("○", "not connected", Tone::Quiet),
+        (Phase::Connecting, _) => ("⌛", "connecting", Tone::Warn),
+        (Phase::Down, _) => ("✖", "no link", Tone::Bad),
+        (Phase::Up, Some(true)) => ("●", "connected", Tone::Good),
+        (Phase::Up, Some(false)) => ("⚠", "NO GATEWAY; connected", Tone::Bad),
+        (Phase::Up, None) => ("●", "connected", Tone::Good),
+    };
+    Badge { icon, word, tone }
+}
+
+fn clock_ui(ui: &mut Ui, worst_us: Option<f64>, unknown: usize) {
+    let words = match worst_us {
+        Some(worst_us) => format!("worst clock error ±{}", text::micros(worst_us)),
+        None => "no clock known".to_owned(),
+    };
+    ui.label(theme::toned(ui, Tone::Quiet, words));
+    if unknown > 0 && worst_us.is_some() {
+        let words = format!("⚠ {} without a clock", text::count(unknown, "node"));
+        ui.label(theme::toned(ui, Tone::Warn, words));
+    }
+}

@@ -1,0 +1,63 @@
+//! What the operator looks at and types: everything on the screen that the fleet does not know.
+//!
+//! One field for each panel, declared in the panel's own file. It is kept between runs, except for
+//! what is marked `#[serde(skip)]`.
+
+use crate::panels::{
+    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, stop::StopView,
+};
+use keys::NodeId;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// The panels that share the lower part of the window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Tab {
+    /// Job records.
+    #[default]
+    Jobs,
+    /// Writing and sending a job.
+    Compose,
+    /// Lines of text.
+    Log,
+}
+
+impl Tab {
+    /// Every tab, as shown.
+    pub const ALL: [Self; 3] = [Self::Jobs, Self::Compose, Self::Log];
+
+    /// Returns its title.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Jobs => "Jobs",
+            Self::Compose => "Compose",
+            Self::Log => "Log",
+        }
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct View {
+    /// The nodes that a stop, a release or a job of the selection is for.
+    #[serde(skip)]
+    pub selection: BTreeSet<NodeId>,
+    /// The node whose page is open.
+    pub focus: Option<NodeId>,
+    /// What the lower part shows.
+    pub tab: Tab,
+    /// Whether the keys are shown.
+    #[serde(skip)]
+    pub help_open: bool,
+    /// The stop and its effect.
+    pub stop: StopView,
+    /// The table of nodes.
+    pub fleet: FleetView,
+    /// The list of jobs.
+    pub jobs: JobsView,
+    /// The composer.
+    pub composer: ComposerView,
+    /// The log.
+    pub log: LogView,
+}
