@@ -177,8 +177,13 @@ pub fn stop_button(text: &str) -> egui::Button<'static> {
     egui::Button::new(text).fill(STOP_FILL)
 }
 
-/// Sets sizes of text and gaps, once.
+/// Sets fonts, sizes of text and gaps, once.
 pub fn apply(ctx: &egui::Context) {
+    let mut fonts = egui::FontDefinitions::default();
+    // The proportional fonts lack some icons of states; the monospaced one has them.
+    let proportional = fonts.families.entry(FontFamily::Proportional).or_default();
+    proportional.push("Hack".to_owned());
+    ctx.set_fonts(fonts);
     ctx.all_styles_mut(|style| {
         style.text_styles = [
             (TextStyle::Small, 11.0, FontFamily::Proportional),

@@ -80,7 +80,7 @@ fn every_dependency_has_its_line_and_its_reason_in_the_workspace_table() {
         assert!(ours || text.contains("version"), "no version: {line}");
     }
     let mut manifests = Vec::new();
-    for member in ["keys", "gateway", "tests"] {
+    for member in ["keys", "gateway", "dashboard", "tests"] {
         manifests.push(root().join(member));
     }
     for member in ["motion", "pico", "node", "emulator"] {

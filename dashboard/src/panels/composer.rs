@@ -127,8 +127,8 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .code_editor()
             .desired_width(f32::INFINITY)
             .desired_rows(8);
-        let edit = ui.add(edit);
-        theme::named(&edit, egui::Role::TextInput, "Job text");
+        let label = ui.label("Job text (JSON)");
+        ui.add(edit).labelled_by(label.id);
     });
 }
 

@@ -1,0 +1,83 @@
+//! What a frame costs: 500 nodes that all move, 10 statuses a second each, a window of 1440 × 860.
+//!
+//! ```text
+//! cargo bench -p dashboard
+//! ```
+//!
+//! Measured is our own part: messages into the model, the panels, and egui's tessellation. What the
+//! graphics card or its software stand-in adds is not.
+
+#[path = "../tests/fixture/mod.rs"]
+mod fixture;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use dashboard::{app::Dashboard, message::Message, view::Tab};
+use egui::{Context, RawInput, Rect, pos2, vec2};
+use fixture::{at_ms, many, node, statuses, tell};
+use std::hint::black_box;
+
+const NODES: usize = 500;
+
+fn frame(context: &Context, dashboard: &mut Dashboard) {
+    let input = RawInput {
+        screen_rect: Some(Rect::from_min_size(pos2(0.0, 0.0), vec2(1_440.0, 860.0))),
+        ..RawInput::default()
+    };
+    let output = context.run_ui(input, |ui| dashboard.ui(ui));
+    black_box(context.tessellate(output.shapes, 1.0));
+}
+
+fn benches(criterion: &mut Criterion) {
+    let context = Context::default();
+    dashboard::theme::apply(&context);
+
+    let mut fleet = many(NODES);
+    let mut tick = 0;
+    criterion.bench_function(
+        "one status of each of 500 nodes into the model",
+        |bencher| {
+            bencher.iter(|| {
+                tick += 1;
+                statuses(&mut fleet, NODES, tick);
+            });
+        },
+    );
+    criterion.bench_function("a frame, 500 nodes, nothing new", |bencher| {
+        bencher.iter(|| frame(&context, &mut fleet));
+    });
+    // 20 frames and 5,000 statuses a second: half of the nodes have spoken since the last frame.
+    criterion.bench_function(
+        "a frame, 500 nodes, 250 statuses since the last",
+        |bencher| {
+            bencher.iter(|| {
+                tick += 1;
+                statuses(&mut fleet, NODES / 2, tick);
+                frame(&context, &mut fleet);
+            });
+        },
+    );
+    fleet.view.focus = Some(node("node-007"));
+    criterion.bench_function(
+        "a frame, 500 nodes, one page with two minutes of plots",
+        |bencher| {
+            bencher.iter(|| frame(&context, &mut fleet));
+        },
+    );
+    fleet.view.focus = None;
+    fleet.view.tab = Tab::Log;
+    for number in 0..10_000 {
+        let (node, text) = (node("node-001"), format!("line {number}"));
+        tell(&mut fleet, at_ms(tick * 100), Message::Log { node, text });
+    }
+    fleet.view.log.filter = "line 9".to_owned();
+    criterion.bench_function("a frame, 10,000 log lines, one new, filtered", |bencher| {
+        bencher.iter(|| {
+            let (node, text) = (node("node-001"), "line 9".to_owned());
+            tell(&mut fleet, at_ms(tick * 100), Message::Log { node, text });
+            frame(&context, &mut fleet);
+        });
+    });
+}
+
+criterion_group!(group, benches);
+criterion_main!(group);

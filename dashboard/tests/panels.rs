@@ -1,0 +1,451 @@
+//! Every panel, clicked by its accessible names, with a model fed from messages.
+
+mod fixture;
+
+use dashboard::{
+    app::Dashboard,
+    message::{Answer, LinkEvent, Message},
+    request::{Language, Request, Scope, Target},
+    view::Tab,
+};
+use egui::{Key, Modifiers, Role};
+use egui_kittest::{Harness, OsThreshold, SnapshotOptions, kittest::Queryable as _};
+use fixture::{at_ms, fleet, job, node, status, tell, tell_status};
+use keys::{
+    NodeState, StopMode,
+    record::{ErrorCode, JobError, JobState, Receipt},
+};
+use std::collections::BTreeSet;
+
+fn show(dashboard: Dashboard) -> Harness<'static, Dashboard> {
+    show_in(dashboard, egui::Theme::Dark)
+}
+
+fn show_in(dashboard: Dashboard, theme: egui::Theme) -> Harness<'static, Dashboard> {
+    let mut harness = Harness::builder()
+        .with_size([1_280.0, 760.0])
+        .with_theme(theme)
+        .with_context_setup(dashboard::theme::apply)
+        .build_ui_state(|ui, dashboard: &mut Dashboard| dashboard.ui(ui), dashboard);
+    harness.run_steps(3);
+    harness
+}
+
+fn click(harness: &mut Harness<'_, Dashboard>, role: Role, name: &str) {
+    harness.get_by_role_and_label(role, name).click();
+    harness.run_steps(3);
+}
+
+fn button(harness: &mut Harness<'_, Dashboard>, name: &str) {
+    click(harness, Role::Button, name);
+}
+
+fn asked(harness: &mut Harness<'_, Dashboard>) -> Vec<Request> {
+    let now = harness.state().model.now();
+    let asked = harness.state_mut().take_requests(now);
+    harness.run_steps(2);
+    asked.into_iter().map(|(_, request)| request).collect()
+}
+
+fn shows(harness: &Harness<'_, Dashboard>, words: &str) -> bool {
+    harness.query_all_by_label_contains(words).next().is_some()
+}
+
+fn stop_all() -> Request {
+    Request::Stop {
+        scope: Scope::All,
+        mode: StopMode::Halt,
+    }
+}
+
+#[test]
+fn stop_all_is_one_click_and_one_key_also_while_typing() {
+    let mut harness = show(fleet());
+    button(&mut harness, "STOP ALL");
+    assert_eq!(asked(&mut harness), [stop_all()]);
+    harness.key_press(Key::F1);
+    harness.run_steps(2);
+    assert_eq!(asked(&mut harness), [stop_all()]);
+    harness
+        .get_by_role_and_label(Role::TextInput, "Filter nodes")
+        .focus();
+    harness.run_steps(2);
+    harness.key_press_modifiers(Modifiers::CTRL, Key::Space);
+    harness.run_steps(2);
+    assert_eq!(asked(&mut harness), [stop_all()]);
+}
+
+#[test]
+fn typing_asks_for_nothing() {
+    let mut harness = show(fleet());
+    harness
+        .get_by_role_and_label(Role::TextInput, "Filter nodes")
+        .focus();
+    harness.run_steps(2);
+    for text in ["?", "/", " ", "s", "stop", "\u{7f}"] {
+        harness.event(egui::Event::Text(text.to_owned()));
+        harness.run_steps(1);
+    }
+    for key in [Key::Space, Key::Enter, Key::S, Key::Escape] {
+        harness.key_press(key);
+        harness.run_steps(1);
+    }
+    assert_eq!(asked(&mut harness), []);
+    assert!(!harness.state().view.help_open);
+    assert!(harness.state().view.fleet.filter.contains("?/ sstop"));
+}
+
+#[test]
+fn the_effect_of_a_stop_names_who_is_missing_until_all_have_said_so_themselves() {
+    let mut harness = show(fleet());
+    button(&mut harness, "STOP ALL");
+    asked(&mut harness);
+    assert!(shows(&harness, "confirmed 0/6"), "one of seven is offline");
+    let stopped = || status(NodeState::Stopped, 2_000, [0, 0], 0);
+    for (ms, name) in [
+        (1_008, "cell-a-1"),
+        (1_009, "cell-a-2"),
+        (1_012, "cell-b-1"),
+    ] {
+        tell_status(harness.state_mut(), at_ms(ms), name, stopped());
+    }
+    // A status that says otherwise confirms nothing.
+    let running = status(NodeState::Running, 2_000, [0, 0], 100);
+    tell_status(harness.state_mut(), at_ms(1_013), "cell-a-3", running);
+    harness.run_steps(2);
+    assert!(shows(&harness, "confirmed 3/6"));
+    assert!(shows(&harness, "missing: cell-a-3, cell-b-2, spare"));
+    assert!(shows(&harness, "Software stop of all nodes"));
+    for name in ["cell-a-3", "cell-b-2", "spare"] {
+        tell_status(harness.state_mut(), at_ms(1_020), name, stopped());
+    }
+    harness.run_steps(2);
+    assert!(shows(&harness, "confirmed 6/6"));
+    assert!(shows(&harness, "in 20.0 ms"));
+    assert!(!shows(&harness, "missing:"));
+    button(&mut harness, "Dismiss");
+    assert!(!shows(&harness, "confirmed 6/6"));
+}
+
+#[test]
+fn a_stop_that_was_not_sent_says_so() {
+    let mut harness = show(fleet());
+    button(&mut harness, "STOP ALL");
+    let now = at_ms(1_000);
+    let asked = harness.state_mut().take_requests(now);
+    let answer = Answer::Failed("NOT SENT: there is no link".to_owned());
+    let ticket = asked[0].0;
+    tell(harness.state_mut(), now, Message::Answer { ticket, answer });
+    harness.run_steps(2);
+    assert!(shows(&harness, "NOT SENT"));
+    assert!(!shows(&harness, "confirmed"));
+}
+
+#[test]
+fn a_release_takes_two_steps_and_means_those_that_were_shown() {
+    let mut harness = show(fleet());
+    button(&mut harness, "Release…");
+    assert_eq!(asked(&mut harness), []);
+    button(&mut harness, "Keep stopped");
+    assert_eq!(asked(&mut harness), []);
+    button(&mut harness, "Release…");
+    button(&mut harness, "Release 1 node");
+    let scope = Scope::node(node("cell-b-1"));
+    assert_eq!(asked(&mut harness), [Request::Release { scope }]);
+    assert!(shows(&harness, "confirmed 0/1"));
+    let idle = status(NodeState::Idle, 2_000, [0, 0], 0);
+    tell_status(harness.state_mut(), at_ms(1_030), "cell-b-1", idle);
+    harness.run_steps(2);
+    assert!(shows(&harness, "confirmed 1/1"));
+}
+
+#[test]
+fn a_group_has_its_own_stop() {
+    let mut harness = show(fleet());
+    button(&mut harness, "Stop cell-a-$*");
+    let scope = Scope::Pattern("cell-a-$*".to_owned());
+    let mode = StopMode::Halt;
+    assert_eq!(asked(&mut harness), [Request::Stop { scope, mode }]);
+    assert!(shows(&harness, "confirmed 0/3"));
+}
+
+#[test]
+fn a_selection_is_stopped_with_deceleration() {
+    let mut harness = show(fleet());
+    harness.state_mut().view.selection = BTreeSet::from([node("cell-a-1"), node("spare")]);
+    harness.run_steps(2);
+    button(&mut harness, "Slow stop");
+    let scope = Scope::Nodes(BTreeSet::from([node("cell-a-1"), node("spare")]));
+    let mode = StopMode::Decelerate;
+    assert_eq!(asked(&mut harness), [Request::Stop { scope, mode }]);
+}
+
+#[test]
+fn a_node_has_its_page_and_its_stop() {
+    let mut harness = show(fleet());
+    button(&mut harness, "cell-a-1");
+    assert_eq!(harness.state().view.focus, Some(node("cell-a-1")));
+    assert!(shows(&harness, "28 waiting, room for 4068"));
+    button(&mut harness, "Stop node");
+    let (scope, mode) = (Scope::node(node("cell-a-1")), StopMode::Halt);
+    assert_eq!(asked(&mut harness), [Request::Stop { scope, mode }]);
+    button(&mut harness, "Close page");
+    assert_eq!(harness.state().view.focus, None);
+}
+
+#[test]
+fn the_fleet_is_filtered_by_words_and_by_key_expressions() {
+    let mut harness = show(fleet());
+    assert!(shows(&harness, "7 of 7 nodes"));
+    let filter = |harness: &mut Harness<'_, Dashboard>, text: &str| {
+        harness.state_mut().view.fleet.filter = text.to_owned();
+        harness.run_steps(2);
+    };
+    filter(&mut harness, "engrave");
+    assert!(shows(&harness, "1 of 7 nodes"));
+    filter(&mut harness, "cell-b-$*");
+    assert!(shows(&harness, "3 of 7 nodes"));
+    filter(&mut harness, "lost");
+    assert!(shows(&harness, "1 of 7 nodes"));
+    filter(&mut harness, "nothing like it");
+    assert!(shows(&harness, "no node passes the filter"));
+}
+
+#[test]
+fn nodes_that_need_somebody_come_first_and_columns_sort() {
+    let mut harness = show(fleet());
+    let order = |harness: &Harness<'_, Dashboard>| -> Vec<String> {
+        let state = harness.state();
+        let rows = dashboard::panels::fleet::shown(&state.model, &state.view);
+        rows.iter().map(|row| row.id().to_string()).collect()
+    };
+    assert_eq!(order(&harness)[..3], ["cell-b-2", "cell-b-3", "cell-b-1"]);
+    click(&mut harness, Role::CheckBox, "Alarms first");
+    assert_eq!(order(&harness)[0], "cell-a-1");
+    button(&mut harness, "Sort by Node");
+    assert_eq!(order(&harness)[0], "spare");
+    button(&mut harness, "Sort by Speed /s");
+    button(&mut harness, "Sort by Speed /s");
+    assert_eq!(order(&harness)[0], "cell-a-1");
+}
+
+#[test]
+fn a_group_is_saved_and_forgotten() {
+    let mut harness = show(fleet());
+    harness.state_mut().view.fleet.new_group = "cell-*".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "inside a name write $*"));
+    harness.state_mut().view.fleet.new_group = "spare".to_owned();
+    harness.run_steps(2);
+    button(&mut harness, "Save group");
+    button(&mut harness, "spare (1/1)");
+    assert!(shows(&harness, "1 of 7 nodes"));
+    button(&mut harness, "Forget spare");
+    assert!(shows(&harness, "7 of 7 nodes"));
+}
+
+#[test]
+fn a_job_is_checked_sent_and_followed() {
+    let mut harness = show(fleet());
+    harness.key_press_modifiers(Modifiers::COMMAND, Key::N);
+    harness.run_steps(2);
+    let state = harness.state_mut();
+    state.view.composer.target = "cell-a-$*".to_owned();
+    state.view.composer.text =
+        r#"{"commands":[{"move":{"axis":0,"delay_us":0,"steps":1}}]}"#.into();
+    harness.run_steps(2);
+    assert!(shows(
+        &harness,
+        "reaches 3 nodes: cell-a-1, cell-a-2, cell-a-3"
+    ));
+    assert!(shows(&harness, "commands[0].move.delay_us"));
+    button(&mut harness, "Send job");
+    assert_eq!(asked(&mut harness), [], "what is wrong is not sent");
+    let text = r#"{"id":"x","commands":[{"move":{"axis":0,"delay_us":5,"steps":1}}]}"#;
+    harness.state_mut().view.composer.text = text.to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "✔ 1 command"));
+    button(&mut harness, "Send job");
+    let now = at_ms(1_000);
+    let asked = harness.state_mut().take_requests(now);
+    let expected = Request::Submit {
+        target: Target::Node("cell-a-$*".to_owned()),
+        language: Language::Json,
+        text: text.to_owned(),
+    };
+    assert_eq!(asked[0].1, expected);
+    harness.run_steps(2);
+    assert!(shows(&harness, "no receipt yet"));
+    let receipt = Receipt {
+        job: job("x"),
+        state: JobState::Queued,
+    };
+    let refusal = JobError::new(ErrorCode::Stopped, "cell-a-3 is stopped");
+    let answer = Answer::Receipts(vec![Ok(receipt), Err(refusal)]);
+    let ticket = asked[0].0;
+    tell(harness.state_mut(), now, Message::Answer { ticket, answer });
+    harness.run_steps(2);
+    assert!(shows(&harness, "refused: stopped: cell-a-3 is stopped"));
+    let done = fixture::job_record("x", "cell-a-1", JobState::Succeeded, 1, 1);
+    tell(harness.state_mut(), now, Message::Job(Box::new(done)));
+    harness.run_steps(2);
+    button(&mut harness, "✔ x: succeeded");
+    assert_eq!(harness.state().view.tab, Tab::Jobs);
+    button(&mut harness, "Run again…");
+    assert_eq!(harness.state().view.tab, Tab::Compose);
+    assert!(
+        !harness.state().view.composer.text.contains("id"),
+        "a new job"
+    );
+}
+
+#[test]
+fn a_job_is_canceled_in_two_steps() {
+    let mut harness = show(fleet());
+    button(&mut harness, "engrave-7");
+    button(&mut harness, "Cancel job…");
+    assert_eq!(asked(&mut harness), []);
+    button(&mut harness, "Really cancel");
+    let job = job("engrave-7");
+    assert_eq!(asked(&mut harness), [Request::Cancel { job }]);
+}
+
+#[test]
+fn a_synchronized_job_shows_parts_and_skew() {
+    let mut harness = show(fleet());
+    button(&mut harness, "cut-7");
+    assert!(shows(&harness, "+38.2 µs"));
+    assert!(shows(&harness, "started 38 µs apart ± 55 µs"));
+}
+
+#[test]
+fn a_lost_link_makes_everything_old() {
+    let mut harness = show(fleet());
+    let why = "the router is gone".to_owned();
+    let down = Message::Link(LinkEvent::Down { why });
+    tell(harness.state_mut(), at_ms(1_000), down);
+    harness.state_mut().model.tick(at_ms(13_000));
+    harness.run_steps(2);
+    assert!(shows(&harness, "no link for 12 s: what you see is old"));
+    harness.state_mut().view.tab = Tab::Compose;
+    harness.state_mut().view.composer.target = "*".to_owned();
+    harness.run_steps(2);
+    button(&mut harness, "Send job");
+    assert_eq!(asked(&mut harness), []);
+}
+
+#[test]
+fn ten_thousand_lines_are_filtered() {
+    let mut dashboard = fleet();
+    for number in 0..10_000 {
+        let (node, text) = (node("spare"), format!("line {number}"));
+        tell(&mut dashboard, at_ms(1_000), Message::Log { node, text });
+    }
+    dashboard.view.tab = Tab::Log;
+    let mut harness = show(dashboard);
+    assert!(shows(&harness, "10000 of 10000 lines"));
+    assert!(shows(&harness, "line 9999"), "the newest is in sight");
+    assert!(
+        !shows(&harness, "line 1234"),
+        "what is out of sight is not drawn"
+    );
+    harness.state_mut().view.log.filter = "line 1234".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "1 of 10000 lines"));
+}
+
+#[test]
+fn the_keys_are_shown_by_a_question_mark() {
+    let mut harness = show(fleet());
+    harness.event(egui::Event::Text("?".to_owned()));
+    harness.run_steps(3);
+    assert!(shows(&harness, "Ctrl+Space"));
+    harness.key_press(Key::Escape);
+    harness.run_steps(3);
+    assert!(!shows(&harness, "Ctrl+Space"));
+}
+
+/// Other versions of the software renderer draw edges of glyphs a little differently.
+fn options() -> SnapshotOptions {
+    SnapshotOptions::new()
+        .threshold(OsThreshold::new(1.5))
+        .max_failed_pixels(OsThreshold::new(400))
+}
+
+fn snapshot(name: &str, dashboard: impl Fn() -> Dashboard) {
+    for (theme, suffix) in [(egui::Theme::Dark, "dark"), (egui::Theme::Light, "light")] {
+        let mut harness = show_in(dashboard(), theme);
+        harness.remove_cursor();
+        harness.run_steps(2);
+        harness.snapshot_options(format!("{name}_{suffix}"), &options());
+    }
+}
+
+#[test]
+fn picture_of_the_fleet_and_the_jobs() {
+    snapshot("fleet", fleet);
+}
+
+#[test]
+fn picture_of_a_stop_that_somebody_misses() {
+    snapshot("stop", || {
+        let mut dashboard = fleet();
+        dashboard.requests.push(stop_all());
+        dashboard.take_requests(at_ms(1_000));
+        for name in ["cell-a-1", "cell-a-2", "cell-b-1"] {
+            let stopped = status(NodeState::Stopped, 2_000, [2_000, -678], 0);
+            tell_status(&mut dashboard, at_ms(1_009), name, stopped);
+        }
+        dashboard.view.stop.releasing = Some(Scope::All);
+        dashboard
+    });
+}
+
+#[test]
+fn picture_of_a_node_and_the_composer() {
+    snapshot("node", || {
+        let mut dashboard = fleet();
+        dashboard.view.focus = Some(node("cell-a-1"));
+        dashboard.view.tab = Tab::Compose;
+        dashboard.view.composer.target = "cell-a-$*".to_owned();
+        dashboard.view.composer.text = "{\"commands\":[\n  {\"ramp\":{\"axis\":0}}\n]}".to_owned();
+        dashboard
+    });
+}
+
+#[test]
+fn picture_of_the_log_and_the_keys() {
+    snapshot("log", || {
+        let mut dashboard = fleet();
+        dashboard.view.tab = Tab::Log;
+        dashboard.view.help_open = true;
+        dashboard
+    });
+}
+
+#[test]
+fn picture_of_a_job_in_detail() {
+    snapshot("job", || {
+        let mut dashboard = fleet();
+        dashboard.view.jobs.open = Some(job("cut-7"));
+        dashboard
+    });
+}
+
+#[test]
+fn picture_before_anything_is_connected() {
+    snapshot("no_gateway", || {
+        let mut dashboard = Dashboard::default();
+        let to = "tcp/localhost:7447".to_owned();
+        let connecting = Message::Link(LinkEvent::Connecting { to });
+        tell(&mut dashboard, fixture::START, connecting);
+        let why = "nothing that speaks zenoh answers at tcp/localhost:7447".to_owned();
+        tell(
+            &mut dashboard,
+            at_ms(10),
+            Message::Link(LinkEvent::Down { why }),
+        );
+        dashboard.model.tick(at_ms(4_000));
+        dashboard
+    });
+}
