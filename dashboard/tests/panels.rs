@@ -9,7 +9,9 @@ use dashboard::{
     view::Tab,
 };
 use egui::{Key, Modifiers, Role};
-use egui_kittest::{Harness, OsThreshold, SnapshotOptions, kittest::Queryable as _};
+use egui_kittest::{
+    Harness, OsThreshold, SnapshotOptions, SnapshotResults, kittest::Queryable as _,
+};
 use fixture::{at_ms, fleet, job, node, status, tell, tell_status};
 use keys::{
     NodeState, StopMode,
@@ -23,7 +25,7 @@ fn show(dashboard: Dashboard) -> Harness<'static, Dashboard> {
 
 fn show_in(dashboard: Dashboard, theme: egui::Theme) -> Harness<'static, Dashboard> {
     let mut harness = Harness::builder()
-        .with_size([1_280.0, 760.0])
+        .with_size([1_200.0, 680.0])
         .with_theme(theme)
         .with_context_setup(dashboard::theme::apply)
         .build_ui_state(|ui, dashboard: &mut Dashboard| dashboard.ui(ui), dashboard);
@@ -373,12 +375,15 @@ fn options() -> SnapshotOptions {
 }
 
 fn snapshot(name: &str, dashboard: impl Fn() -> Dashboard) {
+    let mut results = SnapshotResults::new();
     for (theme, suffix) in [(egui::Theme::Dark, "dark"), (egui::Theme::Light, "light")] {
         let mut harness = show_in(dashboard(), theme);
         harness.remove_cursor();
         harness.run_steps(2);
         harness.snapshot_options(format!("{name}_{suffix}"), &options());
+        results.extend_harness(&mut harness);
     }
+    results.unwrap();
 }
 
 #[test]

@@ -320,6 +320,11 @@ struct Rows<'a> {
 impl TableDelegate for Rows<'_> {
     fn header_cell_ui(&mut self, ui: &mut Ui, cell: &HeaderCellInfo) {
         let column = Column::ALL[cell.col_range.start];
+        if ui.is_sizing_pass() {
+            // The table measures once, before anything is there: a column is as wide as it says.
+            ui.set_min_width(column.width());
+            return;
+        }
         let fleet = &mut self.view.fleet;
         let mark = match (fleet.sort == column, fleet.descending) {
             (false, _) => "",
@@ -358,6 +363,10 @@ impl TableDelegate for Rows<'_> {
             return;
         };
         let column = Column::ALL[cell.col_nr];
+        if ui.is_sizing_pass() {
+            ui.set_min_width(column.width());
+            return;
+        }
         egui::Frame::new()
             .inner_margin(Margin::symmetric(4, 2))
             .show(ui, |ui| {

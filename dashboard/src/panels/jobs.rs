@@ -119,6 +119,10 @@ struct Rows<'a> {
 
 impl TableDelegate for Rows<'_> {
     fn header_cell_ui(&mut self, ui: &mut Ui, cell: &HeaderCellInfo) {
+        if ui.is_sizing_pass() {
+            ui.set_min_width(WIDTHS[cell.col_range.start]);
+            return;
+        }
         ui.label(RichText::new(TITLES[cell.col_range.start]).strong());
     }
 
@@ -126,6 +130,10 @@ impl TableDelegate for Rows<'_> {
         let Some(record) = self.rows.get(cell.row_nr as usize) else {
             return;
         };
+        if ui.is_sizing_pass() {
+            ui.set_min_width(WIDTHS[cell.col_nr]);
+            return;
+        }
         egui::Frame::new()
             .inner_margin(Margin::symmetric(4, 2))
             .show(ui, |ui| {

@@ -34,7 +34,7 @@ pub fn release_ui(ui: &Ui, model: &Model, view: &mut View, requests: &mut Reques
         .open(&mut open)
         .show(ui.ctx(), |ui| {
             let count = text::count(stopped.len(), "node");
-            ui.label(format!("{count} of {scope} will take commands again:"));
+            ui.label(format!("{count} will take commands again ({scope}):"));
             let names: Vec<_> = stopped.iter().map(|node| node.id().to_string()).collect();
             egui::ScrollArea::vertical()
                 .max_height(120.0)

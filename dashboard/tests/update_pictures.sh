@@ -1,0 +1,9 @@
+#!/usr/bin/env bash
+# Draws the pictures of tests/snapshots anew and packs them tighter. Look at each before committing it.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+UPDATE_SNAPSHOTS=1 cargo test -p dashboard --test panels picture
+for picture in tests/snapshots/*_{dark,light}.png; do
+    mogrify -strip -define png:compression-level=9 "$picture"
+done
+rm -f tests/snapshots/*.{old,new,diff}.png
