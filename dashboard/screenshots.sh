@@ -28,7 +28,7 @@ await() {
 }
 start() { "$@" >>"$work/log" 2>&1 & started+=($!); }
 fleet() { "$bin/fleet" --connect "$address" "$@"; }
-picture() { sleep 2; import -window root -colors 64 "$out/$1.png"; }
+picture() { sleep 2; import -window root +dither -colors 128 "$out/$1.png"; }
 
 mkdir -p "$out"
 start Xvfb "$DISPLAY" -screen 0 1440x860x24
@@ -50,7 +50,9 @@ JOB
 for node in node-1 node-2 node-3; do fleet submit --node "$node" "$work/job.json" >/dev/null; done
 sleep 8
 # The page of the first node opens by a click on its name.
-xdotool mousemove "${CLICK_X:-240}" "${CLICK_Y:-143}" click 1
+xdotool mousemove "${CLICK_X:-250}" "${CLICK_Y:-140}" click 1
 picture fleet
+# Without a window manager nobody gives the window the keyboard.
+xdotool search --name Stepfleet windowfocus
 xdotool key F1
 picture stop

@@ -54,12 +54,17 @@ impl Dashboard {
             .resizable(true)
             .default_size(230.0)
             .min_size(90.0)
-            .show(ui, |ui| lower_ui(ui, model, view, requests));
+            .show(ui, |ui| {
+                lower_ui(ui, model, view, requests);
+                // Else the panel would shrink to what is in it.
+                ui.take_available_space();
+            });
         Panel::left("groups")
             .resizable(true)
-            .default_size(180.0)
+            .default_size(210.0)
             .show(ui, |ui| {
                 panels::groups::groups_ui(ui, model, view, requests);
+                ui.take_available_space();
             });
         if view.focus.is_some() {
             Panel::right("node")
@@ -68,7 +73,7 @@ impl Dashboard {
                 .show(ui, |ui| panels::node::node_ui(ui, model, view, requests));
         }
         CentralPanel::default().show(ui, |ui| {
-            panels::fleet::fleet_ui(ui, model, view, requests);
+            panels::fleet::fleet_ui(ui, model, view);
         });
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);

@@ -20,12 +20,16 @@ use keys::{
 use std::collections::BTreeSet;
 
 fn show(dashboard: Dashboard) -> Harness<'static, Dashboard> {
-    show_in(dashboard, egui::Theme::Dark)
+    show_in(dashboard, egui::Theme::Dark, [1_440.0, 860.0])
 }
 
-fn show_in(dashboard: Dashboard, theme: egui::Theme) -> Harness<'static, Dashboard> {
+fn show_in(
+    dashboard: Dashboard,
+    theme: egui::Theme,
+    size: [f32; 2],
+) -> Harness<'static, Dashboard> {
     let mut harness = Harness::builder()
-        .with_size([1_200.0, 680.0])
+        .with_size(size)
         .with_theme(theme)
         .with_context_setup(dashboard::theme::apply)
         .build_ui_state(|ui, dashboard: &mut Dashboard| dashboard.ui(ui), dashboard);
@@ -367,6 +371,9 @@ fn the_keys_are_shown_by_a_question_mark() {
     assert!(!shows(&harness, "Ctrl+Space"));
 }
 
+/// Small, so that each picture stays below 100 kB; also what a small screen shows.
+const PICTURE_SIZE: [f32; 2] = [980.0, 560.0];
+
 /// Other versions of the software renderer draw edges of glyphs a little differently.
 fn options() -> SnapshotOptions {
     SnapshotOptions::new()
@@ -377,7 +384,7 @@ fn options() -> SnapshotOptions {
 fn snapshot(name: &str, dashboard: impl Fn() -> Dashboard) {
     let mut results = SnapshotResults::new();
     for (theme, suffix) in [(egui::Theme::Dark, "dark"), (egui::Theme::Light, "light")] {
-        let mut harness = show_in(dashboard(), theme);
+        let mut harness = show_in(dashboard(), theme, PICTURE_SIZE);
         harness.remove_cursor();
         harness.run_steps(2);
         harness.snapshot_options(format!("{name}_{suffix}"), &options());

@@ -88,10 +88,9 @@ impl Performer {
             let performer = self.clone();
             tokio::spawn(async move {
                 // Without an answer the next probe finds that out.
-                for sample in performer.get(&selector, None).await.into_iter().flatten() {
-                    if let Ok(sample) = sample {
-                        inbox_sample(&performer.keys, &performer.inbox, &sample);
-                    }
+                let replies = performer.get(&selector, None).await.unwrap_or_default();
+                for sample in replies.into_iter().flatten() {
+                    inbox_sample(&performer.keys, &performer.inbox, &sample);
                 }
             });
         }

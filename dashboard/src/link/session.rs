@@ -245,7 +245,7 @@ async fn listen(
                 if session.info().routers_zid().await.next().is_none() {
                     return End::Down("the router is gone".to_owned());
                 }
-                if looks % LOOKS_PER_PROBE == 0 {
+                if looks.is_multiple_of(LOOKS_PER_PROBE) {
                     performer.probe();
                 }
                 if inbox.take_incomplete() {

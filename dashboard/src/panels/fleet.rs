@@ -6,14 +6,13 @@ use crate::{
         node::{Concern, Node},
         select::Pattern,
     },
-    request::{Request, Requests, Scope},
     text,
     theme::{self, Tone},
     view::View,
 };
-use egui::{Align, Layout, Margin, RichText, TextEdit, Ui};
+use egui::{Margin, RichText, TextEdit, Ui};
 use egui_table::{CellInfo, HeaderCellInfo, HeaderRow, Table, TableDelegate};
-use keys::{NodeId, StopMode};
+use keys::NodeId;
 use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 
@@ -48,6 +47,7 @@ impl Column {
     pub const ALL: [Self; 10] = [
         Self::Node,
         Self::State,
+        Self::Heard,
         Self::Job,
         Self::Queue,
         Self::Position,
@@ -55,7 +55,6 @@ impl Column {
         Self::Clock,
         Self::Rssi,
         Self::Fault,
-        Self::Heard,
     ];
 
     const fn title(self) -> &'static str {
@@ -90,14 +89,13 @@ impl Column {
 
     const fn width(self) -> f32 {
         match self {
-            Self::Node => 130.0,
-            Self::State => 95.0,
-            Self::Job => 190.0,
-            Self::Queue => 100.0,
+            Self::Node => 120.0,
+            Self::State => 90.0,
+            Self::Job | Self::Fault => 175.0,
+            Self::Queue => 85.0,
             Self::Position | Self::Clock => 150.0,
-            Self::Speed => 110.0,
-            Self::Rssi => 70.0,
-            Self::Fault => 180.0,
+            Self::Speed => 130.0,
+            Self::Rssi => 65.0,
             Self::Heard => 60.0,
         }
     }
@@ -220,8 +218,8 @@ fn order(model: &Model, by: Column, a: &Node, b: &Node) -> Ordering {
     }
 }
 
-/// Shows filter, selection and table.
-pub fn fleet_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+/// Shows filter and table.
+pub fn fleet_ui(ui: &mut Ui, model: &Model, view: &mut View) {
     let rows: Vec<&Node> = shown(model, view);
     ui.horizontal(|ui| {
         let label = ui.label("Filter nodes");
@@ -236,9 +234,6 @@ pub fn fleet_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requ
         let of = text::count(model.nodes().count(), "node");
         let words = format!("{} of {of}", rows.len());
         ui.label(theme::toned(ui, Tone::Quiet, words));
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            selection_ui(ui, view, requests);
-        });
     });
     if let Some(why) = bad_pattern(&view.fleet.filter) {
         ui.label(theme::toned(ui, Tone::Warn, format!("⚠ {why}")));
@@ -284,31 +279,6 @@ fn empty_ui(ui: &mut Ui, model: &Model) {
         ui.add_space(24.0);
         ui.label(theme::toned(ui, Tone::Quiet, words));
     });
-}
-
-fn selection_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests) {
-    let count = view.selection.len();
-    if count == 0 {
-        return;
-    }
-    if ui.button("Clear").clicked() {
-        view.selection.clear();
-        return;
-    }
-    let scope = || Scope::Nodes(view.selection.clone());
-    if ui.button("Release selected…").clicked() {
-        view.stop.releasing = Some(scope());
-    }
-    let slow = ui.button("Slow stop");
-    let slow = slow.on_hover_text("The selected nodes stop with deceleration, on their path");
-    let stop = ui.add(theme::stop_button("Stop selected"));
-    for (button, mode) in [(slow, StopMode::Decelerate), (stop, StopMode::Halt)] {
-        if button.clicked() {
-            let scope = scope();
-            requests.push(Request::Stop { scope, mode });
-        }
-    }
-    ui.label(format!("{count} selected"));
 }
 
 struct Rows<'a> {
@@ -424,11 +394,12 @@ fn cell_text_ui(ui: &mut Ui, model: &Model, node: &Node, column: Column) {
         }
         _ => RichText::new(words(model, node, column)),
     };
-    // What a node that is gone said last is old.
-    let text = if node.is_there() || matches!(column, Column::State | Column::Heard) {
-        text
-    } else {
+    // What a node that is gone said last is old; without a link, everything is.
+    let gone = !node.is_there() && !matches!(column, Column::State | Column::Heard);
+    let text = if gone || !model.link().is_up() {
         text.color(Tone::Quiet.color(ui))
+    } else {
+        text
     };
     let numbers = matches!(column, Column::Position | Column::Speed | Column::Queue);
     let text = if numbers { text.monospace() } else { text };

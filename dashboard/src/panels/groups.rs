@@ -13,8 +13,10 @@ use keys::StopMode;
 /// Saved filters that fit.
 const SAVED_MAX: usize = 64;
 
-/// Shows the saved filters.
+/// Shows the selection and the saved filters.
 pub fn groups_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+    selection_ui(ui, view, requests);
+    ui.separator();
     ui.heading("Groups");
     let everything = view.fleet.group.is_none();
     let words = format!("All nodes ({})", model.nodes().count());
@@ -65,6 +67,41 @@ pub fn groups_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Req
         if view.fleet.group == Some(saved) {
             view.fleet.group = None;
         }
+    }
+}
+
+/// The selection's buttons never move: what stops shall be where it was.
+fn selection_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests) {
+    let count = view.selection.len();
+    ui.heading(format!("Selection ({count})"))
+        .on_hover_text("Ctrl+click on a name selects several, Ctrl+A all that are shown");
+    let scope = || Scope::Nodes(view.selection.clone());
+    let mut clear = false;
+    let mut release = None;
+    ui.add_enabled_ui(count > 0, |ui| {
+        ui.horizontal(|ui| {
+            let stop = ui.add(theme::stop_button("Stop selected"));
+            let slow = ui.button("Slow stop");
+            let slow = slow.on_hover_text("With deceleration, on their path");
+            for (button, mode) in [(stop, StopMode::Halt), (slow, StopMode::Decelerate)] {
+                if button.clicked() {
+                    let scope = scope();
+                    requests.push(Request::Stop { scope, mode });
+                }
+            }
+        });
+        ui.horizontal(|ui| {
+            if ui.button("Release selected…").clicked() {
+                release = Some(scope());
+            }
+            clear = ui.button("Clear").clicked();
+        });
+    });
+    if release.is_some() {
+        view.stop.releasing = release;
+    }
+    if clear {
+        view.selection.clear();
     }
 }
 
