@@ -28,7 +28,7 @@ await() {
 }
 start() { "$@" >>"$work/log" 2>&1 & started+=($!); }
 fleet() { "$bin/fleet" --connect "$address" "$@"; }
-picture() { sleep 2; import -window root +dither -colors 128 "$out/$1.png"; }
+picture() { sleep 2; import -window root +dither -colors 64 -define png:compression-level=9 -define png:compression-filter=0 "$out/$1.png"; }
 
 mkdir -p "$out"
 start Xvfb "$DISPLAY" -screen 0 1440x860x24

@@ -64,7 +64,6 @@ impl Dashboard {
             .default_size(210.0)
             .show(ui, |ui| {
                 panels::groups::groups_ui(ui, model, view, requests);
-                ui.take_available_space();
             });
         if view.focus.is_some() {
             Panel::right("node")

@@ -52,6 +52,8 @@ pub struct Model {
 pub struct Totals {
     /// Nodes that this window has heard of.
     pub known: usize,
+    /// Nothing is known about them now: there is no link. Then all other counts are zero.
+    pub unknown: usize,
     /// There, and heard of lately.
     pub alive: usize,
     /// There by their token, but silent for longer than [`limits::STALE_AFTER_S`].
@@ -190,6 +192,10 @@ impl Model {
             known: self.nodes.len(),
             ..Totals::default()
         };
+        if !self.link.is_up() {
+            totals.unknown = totals.known;
+            return totals;
+        }
         for node in self.nodes.values() {
             match node.presence(self.now) {
                 node::Presence::Alive => totals.alive += 1,

@@ -4,6 +4,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 UPDATE_SNAPSHOTS=1 cargo test -p dashboard --test panels picture
 for picture in tests/snapshots/*_{dark,light}.png; do
-    mogrify -strip -define png:compression-level=9 "$picture"
+    mogrify -strip -alpha off -define png:color-type=2 -define png:compression-level=9 \
+        -define png:compression-filter=1 "$picture"
 done
 rm -f tests/snapshots/*.{old,new,diff}.png

@@ -211,6 +211,14 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
     let service = bench.service.take().expect("it runs");
     service.shutdown().await.expect("an orderly end");
     bench.until("no link", |model| !model.link().is_up());
+    let gone = |model: &Model| {
+        model
+            .log()
+            .lines()
+            .iter()
+            .any(|line| line.text == "is gone")
+    };
+    assert!(!gone(&bench.dashboard.model), "unheard of is not lost");
     let (scope, mode) = (Scope::All, StopMode::Halt);
     let ticket = bench.ask(Request::Stop { scope, mode });
     bench.until("the stop was not sent", |model| {
@@ -233,9 +241,9 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
         |model| all(model, NodeWord::Idle),
     );
     // One goes for good.
-    let gone = bench.nodes.remove(0);
+    let leaver = bench.nodes.remove(0);
     let id = NodeId::new(NAMES[0]).expect("a name");
-    gone.shutdown().await;
+    leaver.shutdown().await;
     bench.until("a node is lost", |model| {
         let node = model.node(&id).expect("known");
         model.concern(node) == Some(dashboard::model::node::Concern::Lost)

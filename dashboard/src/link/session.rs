@@ -17,7 +17,7 @@ use keys::{
 use std::{
     collections::BTreeSet,
     pin::pin,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
 use tokio::{sync::mpsc, time::MissedTickBehavior};
@@ -212,6 +212,48 @@ struct Tokens {
     told: BTreeSet<NodeId>,
     // Of this session.
     seen: BTreeSet<NodeId>,
+    // Gone since the last look. A router that goes takes all tokens with it, a moment before that is
+    // noticed: then the nodes are not lost, only unheard of.
+    leaving: BTreeSet<NodeId>,
+    // Gone since the look before.
+    left: BTreeSet<NodeId>,
+}
+
+impl Tokens {
+    /// Begins a session.
+    fn begin(&mut self) {
+        self.seen.clear();
+        self.leaving.clear();
+        self.left.clear();
+    }
+
+    /// Takes a token's coming or going, and returns whether it is to be told now.
+    fn changed(&mut self, node: NodeId, alive: bool) -> bool {
+        if alive {
+            self.told.insert(node);
+            self.seen.insert(node);
+            self.leaving.remove(&node);
+            self.left.remove(&node);
+        } else {
+            self.seen.remove(&node);
+            self.leaving.insert(node);
+        }
+        alive
+    }
+
+    /// Returns who is gone for certain: the router is there and was at the last look too.
+    fn look(&mut self) -> BTreeSet<NodeId> {
+        let certain = std::mem::replace(&mut self.left, std::mem::take(&mut self.leaving));
+        for node in &certain {
+            self.told.remove(node);
+        }
+        certain
+    }
+}
+
+fn lock(tokens: &Mutex<Tokens>) -> MutexGuard<'_, Tokens> {
+    // Nothing in there is half done when a callback panics.
+    tokens.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 async fn listen(
@@ -221,11 +263,7 @@ async fn listen(
     tokens: &Arc<Mutex<Tokens>>,
     ends: &mut Ends,
 ) -> End {
-    tokens
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .seen
-        .clear();
+    lock(tokens).begin();
     if let Err(error) = subscribe(session, keys, inbox, tokens).await {
         return End::Down(format!("zenoh: {error}"));
     }
@@ -244,6 +282,9 @@ async fn listen(
             _ = ticks.tick() => {
                 if session.info().routers_zid().await.next().is_none() {
                     return End::Down("the router is gone".to_owned());
+                }
+                for node in lock(tokens).look() {
+                    inbox.push(Message::Alive { node, alive: false });
                 }
                 if looks.is_multiple_of(LOOKS_PER_PROBE) {
                     performer.probe();
@@ -266,7 +307,7 @@ async fn forget_the_gone(session: &Session, keys: &Keys, inbox: &Inbox, tokens: 
     let Ok(alive) = perform::tokens(session, keys, key.as_str()).await else {
         return;
     };
-    let mut tokens = tokens.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut tokens = lock(tokens);
     let there = |node: &NodeId| alive.contains(node) || tokens.seen.contains(node);
     let gone: Vec<NodeId> = tokens
         .told
@@ -306,15 +347,9 @@ async fn subscribe(
         .callback(move |sample| {
             if let Some(node) = node_of(&of_token, &sample) {
                 let alive = sample.kind() == SampleKind::Put;
-                let mut tokens = tokens.lock().unwrap_or_else(PoisonError::into_inner);
-                if alive {
-                    tokens.told.insert(node);
-                    tokens.seen.insert(node);
-                } else {
-                    tokens.told.remove(&node);
-                    tokens.seen.remove(&node);
+                if lock(&tokens).changed(node, alive) {
+                    inbox.push(Message::Alive { node, alive });
                 }
-                inbox.push(Message::Alive { node, alive });
             }
         })
         .background()
@@ -371,4 +406,35 @@ fn node_message(node: NodeId, topic: NodeTopic, payload: &[u8]) -> Result<Option
         }
         _ => None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_is_lost_only_if_the_router_outlives_its_token_by_two_looks() {
+        let node = NodeId::new("left").expect("a name");
+        let mut tokens = Tokens::default();
+        assert!(tokens.changed(node, true), "told at once");
+        assert!(!tokens.changed(node, false), "the router may be going too");
+        assert!(tokens.look().is_empty());
+        assert_eq!(tokens.look(), BTreeSet::from([node]));
+        assert!(tokens.look().is_empty(), "told once");
+        // Back before the second look: never lost.
+        tokens.changed(node, true);
+        tokens.changed(node, false);
+        tokens.look();
+        tokens.changed(node, true);
+        assert!(tokens.look().is_empty());
+        // The router went too: a new session decides.
+        tokens.changed(node, false);
+        tokens.look();
+        tokens.begin();
+        assert!(tokens.look().is_empty());
+        assert!(
+            tokens.told.contains(&node),
+            "to be asked for in the new session"
+        );
+    }
 }

@@ -114,6 +114,8 @@ fn silence_grows_old_only_by_the_models_own_time() {
     model.apply(at(3_300), Message::Link(LinkEvent::Down { why }));
     let node = model.node(&id("a")).expect("known");
     assert_eq!(model.concern(node), None);
+    let totals = model.totals();
+    assert_eq!((totals.unknown, totals.alive, totals.stale), (1, 0, 0));
 }
 
 #[test]

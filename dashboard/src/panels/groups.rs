@@ -15,8 +15,17 @@ const SAVED_MAX: usize = 64;
 
 /// Shows the selection and the saved filters.
 pub fn groups_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
-    selection_ui(ui, view, requests);
-    ui.separator();
+    egui::ScrollArea::vertical()
+        .auto_shrink(false)
+        .show(ui, |ui| {
+            selection_ui(ui, view, requests);
+            ui.separator();
+            saved_ui(ui, model, view, requests);
+            add_ui(ui, view);
+        });
+}
+
+fn saved_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
     ui.heading("Groups");
     let everything = view.fleet.group.is_none();
     let words = format!("All nodes ({})", model.nodes().count());
@@ -24,44 +33,41 @@ pub fn groups_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Req
         view.fleet.group = None;
     }
     let mut removed = None;
-    egui::ScrollArea::vertical().show(ui, |ui| {
-        for (index, saved) in view.fleet.saved.iter().enumerate() {
-            let Ok(pattern) = Pattern::new(saved) else {
-                continue;
-            };
-            let there = model.matching(&pattern).count();
-            let all = model
-                .nodes()
-                .filter(|node| pattern.matches(node.id().as_str()));
-            let all = all.count();
-            let shown = view.fleet.group.as_deref() == Some(saved);
-            let label = ui.selectable_label(shown, format!("{saved} ({there}/{all})"));
-            let label = label.on_hover_text("nodes that are there / known nodes");
-            if label.clicked() {
-                view.fleet.group = (!shown).then(|| saved.clone());
-            }
-            ui.horizontal(|ui| {
-                let stop = ui.add(theme::stop_button("Stop"));
-                theme::named(&stop, egui::Role::Button, &format!("Stop {saved}"));
-                if stop.clicked() {
-                    let (scope, mode) = (Scope::Pattern(saved.clone()), StopMode::Halt);
-                    requests.push(Request::Stop { scope, mode });
-                }
-                let release = ui.button("Release…");
-                let name = format!("Release {saved}");
-                theme::named(&release, egui::Role::Button, &name);
-                if release.clicked() {
-                    view.stop.releasing = Some(Scope::Pattern(saved.clone()));
-                }
-                let remove = ui.button("🗑").on_hover_text("Forget this filter");
-                theme::named(&remove, egui::Role::Button, &format!("Forget {saved}"));
-                if remove.clicked() {
-                    removed = Some(index);
-                }
-            });
+    for (index, saved) in view.fleet.saved.iter().enumerate() {
+        let Ok(pattern) = Pattern::new(saved) else {
+            continue;
+        };
+        let there = model.matching(&pattern).count();
+        let all = model
+            .nodes()
+            .filter(|node| pattern.matches(node.id().as_str()));
+        let all = all.count();
+        let shown = view.fleet.group.as_deref() == Some(saved);
+        let label = ui.selectable_label(shown, format!("{saved} ({there}/{all})"));
+        let label = label.on_hover_text("nodes that are there / known nodes");
+        if label.clicked() {
+            view.fleet.group = (!shown).then(|| saved.clone());
         }
-        add_ui(ui, view);
-    });
+        ui.horizontal(|ui| {
+            let stop = ui.add(theme::stop_button("Stop"));
+            theme::named(&stop, egui::Role::Button, &format!("Stop {saved}"));
+            if stop.clicked() {
+                let (scope, mode) = (Scope::Pattern(saved.clone()), StopMode::Halt);
+                requests.push(Request::Stop { scope, mode });
+            }
+            let release = ui.button("Release…");
+            let name = format!("Release {saved}");
+            theme::named(&release, egui::Role::Button, &name);
+            if release.clicked() {
+                view.stop.releasing = Some(Scope::Pattern(saved.clone()));
+            }
+            let remove = ui.button("🗑").on_hover_text("Forget this filter");
+            theme::named(&remove, egui::Role::Button, &format!("Forget {saved}"));
+            if remove.clicked() {
+                removed = Some(index);
+            }
+        });
+    }
     if let Some(index) = removed {
         let saved = view.fleet.saved.remove(index);
         if view.fleet.group == Some(saved) {

@@ -72,6 +72,9 @@ fn counts_ui(ui: &mut Ui, model: &Model) {
         let tone = if count == 0 { Tone::Quiet } else { tone };
         ui.label(theme::toned(ui, tone, format!("{icon} {count} {word}")));
     };
+    if totals.unknown > 0 {
+        count(ui, Tone::Bad, "?", totals.unknown, "unknown");
+    }
     count(ui, Tone::Good, "●", totals.alive, "alive");
     count(ui, Tone::Busy, "▶", totals.running, "running");
     count(ui, Tone::Warn, "⚠", totals.stale, "silent");
