@@ -8,7 +8,7 @@ use crate::{
     view::View,
 };
 use egui::{Grid, ScrollArea, Ui};
-use egui_plot::{Legend, Line, Plot, PlotPoints};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
 use keys::{StopMode, record::NodeWord};
 
 /// Height of a plot, points.
@@ -120,7 +120,8 @@ fn plot_ui(ui: &mut Ui, model: &Model, node: &Node) {
         .collect();
     Plot::new(("position", node.id().as_str()))
         .height(PLOT_HEIGHT)
-        .legend(Legend::default())
+        // The newest is at the right.
+        .legend(Legend::default().position(Corner::LeftTop))
         .show(ui, |plot| {
             for (axis, color) in colors.into_iter().enumerate() {
                 let points: PlotPoints<'_> = node
