@@ -32,7 +32,17 @@ fn show_in(
         .with_size(size)
         .with_theme(theme)
         .with_context_setup(dashboard::theme::apply)
-        .build_ui_state(|ui, dashboard: &mut Dashboard| dashboard.ui(ui), dashboard);
+        .build_ui_state(
+            |ui, dashboard: &mut Dashboard| {
+                // The harness leaves a transparent border, which the packed pictures cannot have.
+                let background = egui::LayerId::background();
+                let (all, fill) = (ui.ctx().content_rect(), ui.visuals().panel_fill);
+                let painter = ui.ctx().layer_painter(background);
+                painter.rect_filled(all, 0.0, fill);
+                dashboard.ui(ui);
+            },
+            dashboard,
+        );
     harness.run_steps(3);
     harness
 }

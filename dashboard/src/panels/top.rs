@@ -2,7 +2,7 @@
 
 use crate::{
     model::{
-        Model,
+        Model, Totals,
         link::{LinkState, Phase},
     },
     request::{Request, Requests, Scope},
@@ -30,7 +30,7 @@ pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reques
         }
         ui.separator();
         ui.vertical(|ui| {
-            ui.horizontal_wrapped(|ui| counts_ui(ui, model));
+            ui.horizontal_wrapped(|ui| counts_ui(ui, &totals));
             ui.horizontal_wrapped(|ui| {
                 link_ui(ui, model);
                 clock_ui(ui, totals.worst_clock_error_us, totals.clocks_unknown);
@@ -66,8 +66,7 @@ fn stop_all_ui(ui: &mut Ui, requests: &mut Requests) {
     }
 }
 
-fn counts_ui(ui: &mut Ui, model: &Model) {
-    let totals = model.totals();
+fn counts_ui(ui: &mut Ui, totals: &Totals) {
     let count = |ui: &mut Ui, tone: Tone, icon: &str, count: usize, word: &str| {
         let tone = if count == 0 { Tone::Quiet } else { tone };
         ui.label(theme::toned(ui, tone, format!("{icon} {count} {word}")));
