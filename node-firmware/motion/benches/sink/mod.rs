@@ -1,0 +1,115 @@
+//! A back end without hardware: it asks for half blocks as fast as it can, so that what is measured
+//! is the encoder, the ledger and the planner alone. Also for a machine without an operating
+//! system.
+
+use core::{array, hint::black_box, sync::atomic::AtomicU32};
+use keys::{AxisId, Command, status::FaultCode};
+use motion::{Axis, AxisProfile, CommandRing, Motion, MotionConfig, StepBackend, Ticks, limits};
+
+/// Consumes half blocks at once.
+struct Sink {
+    axes: [Axis; limits::CHANNELS],
+    half: usize,
+    count: fn() -> u32,
+    run: Run,
+    playing: bool,
+}
+
+/// What a run took.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Run {
+    /// Half blocks that were refilled.
+    pub(crate) refills: u32,
+    /// Instructions of that, as the given counter counts.
+    pub(crate) refill_instructions: u64,
+}
+
+/// The whole refill of one axis, under a name that a profiler's counts can be found by.
+#[inline(never)]
+fn refill_of_axis(axis: &mut Axis, half: usize) {
+    black_box(axis.fill(half));
+}
+
+impl StepBackend for Sink {
+    fn axes(&mut self) -> &mut [Axis] {
+        &mut self.axes
+    }
+
+    fn start(&mut self, _now: Ticks, lead_ticks: u64) {
+        for axis in &mut self.axes {
+            black_box(axis.lead_in(lead_ticks));
+        }
+        self.half = 1;
+        self.playing = true;
+    }
+
+    fn service(&mut self, until: Ticks) -> Ticks {
+        while self.playing {
+            self.playing = false;
+            for axis in self.axes.iter_mut().filter(|axis| !axis.has_ended()) {
+                let before = (self.count)();
+                refill_of_axis(axis, self.half);
+                let instructions = (self.count)().wrapping_sub(before);
+                self.run.refill_instructions += u64::from(instructions);
+                self.run.refills += 1;
+                self.playing |= !axis.has_ended();
+            }
+            self.half ^= 1;
+            if self.axes.iter().any(Axis::wants_planning) {
+                return Ticks(until.0 - 1);
+            }
+        }
+        until
+    }
+
+    fn is_playing(&self) -> bool {
+        self.playing
+    }
+
+    fn halt(&mut self, now: Ticks) -> Ticks {
+        self.playing = false;
+        now
+    }
+
+    fn played_steps(&self, axis: AxisId) -> i64 {
+        self.axes[usize::from(axis.0)].ledger().booked_steps()
+    }
+
+    fn take_fault(&mut self) -> Option<FaultCode> {
+        None
+    }
+}
+
+/// Executes commands to their end; `count` tells how many instructions were executed so far.
+#[inline(never)]
+pub(crate) fn execute(
+    memory: &[AtomicU32],
+    axis_count: usize,
+    commands: impl ExactSizeIterator<Item = Command>,
+    count: fn() -> u32,
+) -> Run {
+    let sink = Sink {
+        axes: array::from_fn(|_| Axis::new(AxisProfile::default())),
+        half: 0,
+        count,
+        run: Run::default(),
+        playing: false,
+    };
+    let config = MotionConfig {
+        axis_count,
+        ..MotionConfig::default()
+    };
+    let mut motion = Motion::new(CommandRing::new(memory), sink, config);
+    let accepted = commands.len();
+    let mut reservation = motion.reserve(accepted).expect("room");
+    for command in commands {
+        reservation.push(&command);
+    }
+    reservation.commit();
+    let mut now = Ticks(1);
+    while motion.executed_commands() < accepted as u64 {
+        black_box(motion.poll(now));
+        now = now.plus(1_000_000_000_000);
+    }
+    motion.backend().run
+}
