@@ -5,6 +5,8 @@
 //! bits more than a double, the same result on every machine, and no range to think of. It is for
 //! planning (some dozen operations for each ramp and each segment), never for the refill.
 
+mod wide;
+
 use core::ops::{Add, Div, Mul, Neg, Sub};
 
 /// A mantissa of this size is normal: 2⁶¹ ≤ |mantissa| < 2⁶².
@@ -27,29 +29,35 @@ impl Real {
 
     /// Returns this integer.
     pub const fn of(value: u64) -> Self {
-        Self::from_parts(value as i128, 0)
+        Self::from_size(value, false, 0)
     }
 
     /// Returns this integer with its sign.
     pub const fn of_signed(value: i64) -> Self {
-        Self::from_parts(value as i128, 0)
+        Self::from_size(value.unsigned_abs(), value < 0, 0)
     }
 
-    /// Returns value · 2^exponent.
-    const fn from_parts(value: i128, exponent: i32) -> Self {
-        if value == 0 {
+    /// Returns ± size · 2^exponent, cut downwards.
+    const fn from_size(size: u64, negative: bool, exponent: i32) -> Self {
+        if size == 0 {
             return Self::ZERO;
         }
-        let size = 128 - value.unsigned_abs().leading_zeros() as i32;
-        let shift = size - BITS;
+        let shift = size.leading_zeros() as i32 - (64 - BITS);
         let mantissa = if shift >= 0 {
-            value >> shift
+            size << shift
+        } else if negative {
+            // Downwards is away from 0.
+            ((size - 1) >> -shift) + 1
         } else {
-            value << -shift
+            size >> -shift
         };
         Self {
-            mantissa: mantissa as i64,
-            exponent: exponent + shift,
+            mantissa: if negative {
+                -(mantissa as i64)
+            } else {
+                mantissa as i64
+            },
+            exponent: exponent - shift,
         }
     }
 
@@ -105,10 +113,15 @@ impl Real {
         if self.mantissa <= 0 {
             return Self::ZERO;
         }
+        // 2⁶² is a mantissa of what was negative.
+        let carry = (self.mantissa >> BITS) as i32;
+        let (mantissa, exponent) = (self.mantissa as u64 >> carry, self.exponent + carry);
         // An even exponent, and a square of 124 bits, whose root has 62.
-        let odd = self.exponent & 1;
-        let square = (self.mantissa as u128) << (BITS - odd);
-        Self::from_parts(square.isqrt() as i128, (self.exponent - (BITS - odd)) >> 1)
+        let odd = exponent & 1;
+        Self {
+            mantissa: wide::root(mantissa << (1 - odd)) as i64,
+            exponent: (exponent - (BITS - odd)) >> 1,
+        }
     }
 
     /// Returns its cube root; 0 for what is negative.
@@ -117,16 +130,16 @@ impl Real {
         if self.mantissa <= 0 {
             return Self::ZERO;
         }
-        // value = m · 8^k with 1 ≤ m < 8, so 1 ≤ root / 2^k < 2: Newton from above converges,
-        // from 2 to 62 bits in 7 steps.
+        // value = m · 8^k with 1 ≤ m < 8.
         let size = self.exponent + BITS - 1;
         let k = size.div_euclid(3);
         let m = self.shifted(-3 * k);
-        let mut root = Self::of(2);
-        for _ in 0..8 {
-            root = (root.twice() + m / root.squared()) / Self::of(3);
-        }
-        root.shifted(k)
+        let inverse = Self::of(u64::from(inverse_cube_root(m.fixed(28) as u32))).shifted(-31);
+        // With z near 1/∛m and c = m·z³, ∛m = m·z²·c^(-2/3): two terms from c - 1, some 2⁻²⁷.
+        let root = m * inverse.squared();
+        let error = root * inverse - Self::of(1);
+        let factor = error * (TWO_THIRDS - error * FIVE_NINTHS);
+        (root - root * factor).shifted(k)
     }
 
     /// Returns the nearest integer, halves upwards; saturates.
@@ -161,6 +174,37 @@ impl Real {
     pub fn max(self, other: Self) -> Self {
         if other > self { other } else { self }
     }
+}
+
+/// 2/3, cut.
+const TWO_THIRDS: Real = Real {
+    mantissa: ((1_u64 << (BITS + 1)) / 3) as i64,
+    exponent: -BITS,
+};
+
+/// 5/9, cut.
+const FIVE_NINTHS: Real = Real {
+    mantissa: ((5_u128 << BITS) / 9) as i64,
+    exponent: -BITS,
+};
+
+/// Returns 2³¹ / ∛(value / 2²⁸), right to 2⁻²⁸; `value` from 2²⁸ to 2³¹ - 1.
+fn inverse_cube_root(value: u32) -> u32 {
+    // The middle of each factor of 2, an eighth off at most. Each step squares that and doubles it.
+    let mut inverse: u32 = match value >> 28 {
+        1 => 0x7200_0000,
+        2 | 3 => 0x5a80_0000,
+        _ => 0x4800_0000,
+    };
+    let high = |a: u32, b: u32, shift: u32| ((u64::from(a) * u64::from(b)) >> shift) as u32;
+    for _ in 0..4 {
+        // z · (4 - value · z³) / 3.
+        let cube = high(high(inverse, inverse, 32), inverse, 31);
+        let left = high(cube, value, 28).wrapping_neg();
+        let triple = high(inverse, left, 31);
+        inverse = triple - triple / 3;
+    }
+    inverse
 }
 
 impl Add for Real {
@@ -223,8 +267,28 @@ impl Mul for Real {
     type Output = Self;
 
     fn mul(self, other: Self) -> Self {
-        let product = i128::from(self.mantissa) * i128::from(other.mantissa);
-        Self::from_parts(product, self.exponent + other.exponent)
+        if self.mantissa == 0 || other.mantissa == 0 {
+            return Self::ZERO;
+        }
+        let (a, b) = (self.mantissa.unsigned_abs(), other.mantissa.unsigned_abs());
+        // From 2⁶⁰ to 2⁶² in the upper half.
+        let (mut high, mut low) = wide::product(a << 1, b << 1);
+        let mut exponent = self.exponent + other.exponent + BITS;
+        if high < 1 << (BITS - 1) {
+            high = (high << 1) | (low >> 63);
+            low <<= 1;
+            exponent -= 1;
+        } else if high == 1 << BITS {
+            high >>= 1;
+            exponent += 1;
+        }
+        let mantissa = if (self.mantissa ^ other.mantissa) < 0 {
+            // What is cut is cut downwards.
+            -((high + u64::from(low != 0)) as i64)
+        } else {
+            high as i64
+        };
+        Self { mantissa, exponent }
     }
 }
 
@@ -234,8 +298,14 @@ impl Div for Real {
     /// # Panics
     /// `other` is 0.
     fn div(self, other: Self) -> Self {
-        let quotient = (i128::from(self.mantissa) << BITS) / i128::from(other.mantissa);
-        Self::from_parts(quotient, self.exponent - other.exponent - BITS)
+        assert!(other.mantissa != 0, "divided by 0");
+        if self.mantissa == 0 {
+            return Self::ZERO;
+        }
+        let (a, b) = (self.mantissa.unsigned_abs(), other.mantissa.unsigned_abs());
+        let negative = (self.mantissa ^ other.mantissa) < 0;
+        let exponent = self.exponent - other.exponent - BITS;
+        Self::from_size(wide::quotient(a, b), negative, exponent)
     }
 }
 
@@ -277,7 +347,125 @@ mod tests {
 
     fn real(value: f64) -> Real {
         let scaled = (value * f64::from(80).exp2()) as i128;
-        Real::from_parts(scaled, -80)
+        plain::from_parts(scaled, -80)
+    }
+
+    /// The same in 128-bit integers, as plainly as can be.
+    mod plain {
+        use super::{BITS, Real};
+
+        /// Returns value · 2^exponent.
+        pub(super) fn from_parts(value: i128, exponent: i32) -> Real {
+            if value == 0 {
+                return Real::ZERO;
+            }
+            let size = 128 - value.unsigned_abs().leading_zeros() as i32;
+            let shift = size - BITS;
+            let mantissa = if shift >= 0 {
+                value >> shift
+            } else {
+                value << -shift
+            };
+            Real {
+                mantissa: mantissa as i64,
+                exponent: exponent + shift,
+            }
+        }
+
+        pub(super) fn product(a: Real, b: Real) -> Real {
+            let product = i128::from(a.mantissa) * i128::from(b.mantissa);
+            from_parts(product, a.exponent + b.exponent)
+        }
+
+        pub(super) fn quotient(a: Real, b: Real) -> Real {
+            let quotient = (i128::from(a.mantissa) << BITS) / i128::from(b.mantissa);
+            from_parts(quotient, a.exponent - b.exponent - BITS)
+        }
+
+        pub(super) fn root(value: Real) -> Real {
+            if value.mantissa <= 0 {
+                return Real::ZERO;
+            }
+            let odd = value.exponent & 1;
+            let square = (value.mantissa as u128) << (BITS - odd);
+            from_parts(square.isqrt() as i128, (value.exponent - (BITS - odd)) >> 1)
+        }
+
+        pub(super) fn cube_root(value: Real) -> Real {
+            let k = (value.exponent + BITS - 1).div_euclid(3);
+            let m = value.shifted(-3 * k);
+            let mut root = Real::of(2);
+            for _ in 0..8 {
+                let sum = root.twice() + quotient(m, product(root, root));
+                root = quotient(sum, Real::of(3));
+            }
+            root.shifted(k)
+        }
+    }
+
+    /// Mantissas at the edges of every digit, and random ones with runs of ones and zeros.
+    fn mantissa(state: &mut u64) -> i64 {
+        let mut next = || {
+            *state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            *state ^ (*state >> 29)
+        };
+        let (kind, bits) = (next() >> 60, next());
+        let low = bits >> 3;
+        let size = match kind {
+            // -2⁶² is a mantissa too: what is negative is cut downwards.
+            0 => 1 << 62,
+            1 => 1 << 61,
+            2 => (1 << 62) - 1 - (low >> 40),
+            3 => (1 << 61) + (low >> 40),
+            4..=6 => (1 << 61) + (low & (u64::MAX << (next() >> 58))),
+            7..=9 => (1 << 61) + (low | ((1 << (next() >> 58)) - 1)),
+            10 => ((low >> 30) | 1 << 31) << 30,
+            _ => (1 << 61) + low,
+        };
+        let size = size.clamp(1 << 61, 1 << 62) as i64;
+        if bits & 1 == 0 { size } else { -size }
+    }
+
+    #[test]
+    fn every_bit_is_that_of_128_bit_integers() {
+        let mut state = 11;
+        for case in 0..3_000_000 {
+            let exponent = (case % 90) - 45;
+            let a = Real {
+                mantissa: mantissa(&mut state),
+                exponent,
+            };
+            let b = Real {
+                mantissa: mantissa(&mut state),
+                exponent: 7,
+            };
+            assert_eq!(a * b, plain::product(a, b), "{a:?} * {b:?}");
+            assert_eq!(a / b, plain::quotient(a, b), "{a:?} / {b:?}");
+            assert_eq!(a.root(), plain::root(a), "root of {a:?}");
+            let value = a.mantissa >> (case % 64);
+            let integer = plain::from_parts(i128::from(value), 0);
+            assert_eq!(Real::of_signed(value), integer, "{value}");
+            let value = value as u64;
+            let integer = plain::from_parts(i128::from(value), 0);
+            assert_eq!(Real::of(value), integer, "{value}");
+        }
+    }
+
+    #[test]
+    fn a_cube_root_is_right_to_two_units_of_its_last_place() {
+        let mut state = 5;
+        for case in 0..1_000_000 {
+            let value = Real {
+                mantissa: mantissa(&mut state).abs(),
+                exponent: (case % 90) - 45,
+            };
+            let (found, plain) = (value.cube_root(), plain::cube_root(value));
+            let error = (found - plain).abs();
+            let unit = found.shifted(1 - BITS);
+            assert!(error <= unit.twice(), "{value:?}: {found:?} {plain:?}");
+        }
     }
 
     #[test]
