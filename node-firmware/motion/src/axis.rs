@@ -39,7 +39,7 @@ impl Axis {
     pub fn lead_in(&mut self, lead_ticks: u64) -> Fill {
         self.lead_ticks = lead_ticks;
         let fill = self.encoder.lead_in(lead_ticks);
-        self.ledger.book(0, &fill.steps_in_word);
+        self.ledger.book(0, fill.step_words, fill.sign);
         fill
     }
 
@@ -47,7 +47,7 @@ impl Axis {
     pub fn fill(&mut self, half: usize) -> Fill {
         let ahead_ticks = self.ahead_ticks();
         let fill = self.encoder.fill(&mut self.segments, ahead_ticks);
-        self.ledger.book(half, &fill.steps_in_word);
+        self.ledger.book(half, fill.step_words, fill.sign);
         fill
     }
 

@@ -26,6 +26,8 @@
 //! two steps is 2 / (v₀ + v₁): exact for constant deceleration, and one integer root a step. It goes
 //! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
 
+mod run;
+
 use crate::{
     limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
     profile::Timing,
@@ -40,7 +42,10 @@ pub struct Fill {
     pub words: [Symbol; REFILL_WORDS],
     /// The direction pin takes this level now, before anything of `words` is played.
     pub turn: Option<Direction>,
-    pub(crate) steps_in_word: [i8; REFILL_WORDS],
+    /// Which of the words hold a step, bit 0 the first one; all of them in one direction.
+    pub(crate) step_words: u32,
+    /// That direction, +1 or -1.
+    pub(crate) sign: i8,
 }
 
 /// How far a turn has come.
@@ -67,7 +72,7 @@ pub(crate) struct Rewound {
 #[derive(Clone, Copy, Debug, Default)]
 struct HalfFacts {
     has_steps: bool,
-    ticks: u64,
+    ticks: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -115,12 +120,16 @@ impl Out {
         REFILL_WORDS - self.count
     }
 
-    fn push(&mut self, symbol: Symbol, steps: i8) {
+    fn push(&mut self, symbol: Symbol) {
         self.fill.words[self.count] = symbol;
-        self.fill.steps_in_word[self.count] = steps;
         self.count += 1;
-        self.facts.has_steps |= steps != 0;
-        self.facts.ticks += symbol.ticks();
+        self.facts.ticks += symbol.ticks() as u32;
+    }
+
+    fn push_step(&mut self, symbol: Symbol) {
+        self.fill.step_words |= 1 << self.count;
+        self.facts.has_steps = true;
+        self.push(symbol);
     }
 }
 
@@ -261,11 +270,13 @@ impl Encoder {
     /// `ahead_ticks` is what is planned and not encoded.
     pub(crate) fn fill(&mut self, segments: &mut SegmentRing, ahead_ticks: u64) -> Fill {
         let mut out = Out::new();
-        self.low_word_ticks = if ahead_ticks <= 2 * REST_HALF_TICKS_MIN {
+        // Short before it is divided: the chip divides 32 bits.
+        let ahead_ticks = u32::try_from(ahead_ticks).unwrap_or(u32::MAX);
+        self.low_word_ticks = if ahead_ticks <= 2 * REST_HALF_TICKS_MIN as u32 {
             LOW_WORD_TICKS_MAX
         } else {
-            let half_ticks = (ahead_ticks / 2).max(REST_HALF_TICKS_MIN);
-            (half_ticks / REFILL_WORDS as u64).min(LOW_WORD_TICKS_MAX)
+            let half_ticks = (ahead_ticks / 2).max(REST_HALF_TICKS_MIN as u32);
+            u64::from(half_ticks / REFILL_WORDS as u32).min(LOW_WORD_TICKS_MAX)
         };
         if self.turn == Turn::Due {
             self.turn = Turn::None;
@@ -283,7 +294,9 @@ impl Encoder {
             } else if let Some(speed_mhz) = self.stopping_mhz {
                 self.slower_step(speed_mhz, &mut out);
             } else if self.steps_left > 0 {
-                self.step(segments, &mut out);
+                if !self.run(&mut out) {
+                    self.step(segments, &mut out);
+                }
             } else {
                 self.next(segments, &mut out);
             }
@@ -291,9 +304,10 @@ impl Encoder {
         self.finish(out)
     }
 
-    fn finish(&mut self, out: Out) -> Fill {
+    fn finish(&mut self, mut out: Out) -> Fill {
         self.half_before = out.facts;
-        self.encoded_ticks += out.facts.ticks;
+        self.encoded_ticks += u64::from(out.facts.ticks);
+        out.fill.sign = self.direction.map_or(1, Direction::sign);
         out.fill
     }
 
@@ -330,7 +344,8 @@ impl Encoder {
         self.next_interval();
         let high_ticks = self.timing.high_of(self.interval_ticks);
         let low_ticks = self.interval_ticks - high_ticks;
-        let goes_on = self.steps_left > 0 || matches!(segments.peek(), Some(Segment::Steps { .. }));
+        let goes_on =
+            self.steps_left > 0 || matches!(segments.front(), Some(Segment::Steps { .. }));
         if goes_on {
             let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
             self.write_step(high_ticks, low_ticks, in_word, out);
@@ -378,8 +393,7 @@ impl Encoder {
                 low_ticks
             };
         }
-        let sign = self.direction.map_or(1, Direction::sign);
-        out.push(Symbol::step(high_ticks, in_word), sign);
+        out.push_step(Symbol::step(high_ticks, in_word));
         self.low_ticks = low_ticks - in_word;
         self.low_ticks_since_step = in_word;
         self.resting = false;
@@ -410,6 +424,15 @@ impl Encoder {
             self.low_ticks.min(self.low_word_ticks)
         };
         self.write_low(word_ticks, out);
+        // The same for all that is longer.
+        let symbol = Symbol::low(self.low_word_ticks);
+        while out.left() > 0 && self.low_ticks >= window_ticks + self.low_word_ticks {
+            out.push(symbol);
+            self.low_ticks -= self.low_word_ticks;
+            self.low_ticks_since_step = self
+                .low_ticks_since_step
+                .saturating_add(self.low_word_ticks);
+        }
     }
 
     /// Writes one word of rest of about this length.
@@ -420,7 +443,7 @@ impl Encoder {
         } else {
             word_ticks
         };
-        out.push(Symbol::low(word_ticks), 0);
+        out.push(Symbol::low(word_ticks));
         self.low_ticks = self.low_ticks.saturating_sub(word_ticks);
         self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(word_ticks);
     }
@@ -430,7 +453,7 @@ impl Encoder {
         let margin_ticks = self.timing.turn_ticks();
         let rests = !self.half_before.has_steps
             && !out.facts.has_steps
-            && self.half_before.ticks >= margin_ticks
+            && u64::from(self.half_before.ticks) >= margin_ticks
             && self.low_ticks_since_step >= self.timing.hold_ticks;
         if rests && out.fill.turn.is_none() {
             if let Some(Segment::Turn { direction }) = segments.pop() {
@@ -471,10 +494,10 @@ impl Encoder {
 
     /// Writes a whole half block of rest that lasts this long.
     fn spread(&mut self, out: &mut Out, ticks: u64) {
-        let mut left = ticks;
+        let mut left = u32::try_from(ticks).expect("half a block of words");
         while out.left() > 0 {
-            let word_ticks = left / out.left() as u64;
-            out.push(Symbol::low(word_ticks), 0);
+            let word_ticks = left / out.left() as u32;
+            out.push(Symbol::low(u64::from(word_ticks)));
             left -= word_ticks;
         }
         self.low_ticks -= ticks;
@@ -521,7 +544,7 @@ impl Encoder {
             self.write_low(self.low_ticks.min(LOW_WORD_TICKS_MAX), out);
             return;
         }
-        out.push(Symbol::END, 0);
+        out.push(Symbol::END);
         self.ended = true;
     }
 }
@@ -532,7 +555,8 @@ impl Out {
             fill: Fill {
                 words: [Symbol::END; REFILL_WORDS],
                 turn: None,
-                steps_in_word: [0; REFILL_WORDS],
+                step_words: 0,
+                sign: 1,
             },
             count: 0,
             facts: HalfFacts::default(),

@@ -4,56 +4,79 @@
 //! hold a step and which way. A word is consumed from its first tick, which is its active edge, so
 //! a step counts from its edge on.
 
-use crate::limits::{CHANNEL_WORDS, REFILL_WORDS};
+use crate::limits::REFILL_WORDS;
 
 /// Steps of one axis, with sign, since boot.
 #[derive(Clone, Debug)]
 pub struct Ledger {
     booked_steps: i64,
-    steps_in_word: [i8; CHANNEL_WORDS],
+    halves: [Half; 2],
 }
+
+/// The steps of half a block.
+#[derive(Clone, Copy, Debug)]
+struct Half {
+    /// Which words hold a step, bit 0 the first one.
+    step_words: u32,
+    /// What each of them counts.
+    sign: i8,
+}
+
+impl Half {
+    const NONE: Self = Self {
+        step_words: 0,
+        sign: 1,
+    };
+
+    /// Returns the steps of all words from this one on.
+    fn steps_from(self, word: usize) -> i64 {
+        let words = self.step_words.checked_shr(word as u32).unwrap_or(0);
+        i64::from(words.count_ones() as i32 * i32::from(self.sign))
+    }
+}
+
+const _: () = assert!(REFILL_WORDS <= u32::BITS as usize);
 
 impl Ledger {
     /// Starts at 0.
     pub(crate) const fn new() -> Self {
         Self {
             booked_steps: 0,
-            steps_in_word: [0; CHANNEL_WORDS],
+            halves: [Half::NONE; 2],
         }
     }
 
-    /// Books the words of one half block; `half` is 0 or 1.
-    pub(crate) fn book(&mut self, half: usize, steps_in_word: &[i8; REFILL_WORDS]) {
-        let words = &mut self.steps_in_word[half * REFILL_WORDS..][..REFILL_WORDS];
-        words.copy_from_slice(steps_in_word);
-        self.booked_steps += words.iter().map(|steps| i64::from(*steps)).sum::<i64>();
+    /// Books the words of one half block: `half` is 0 or 1, each bit of `step_words` a step of
+    /// `sign`.
+    pub(crate) fn book(&mut self, half: usize, step_words: u32, sign: i8) {
+        self.halves[half] = Half { step_words, sign };
+        self.booked_steps += self.halves[half].steps_from(0);
     }
 
     /// Returns the steps whose active edge has left, when the transmitter plays word `reading`
     /// and the refills are up to date but for `stale_half`, which has been played already.
     pub fn played_steps(&self, reading: usize, stale_half: Option<usize>) -> i64 {
-        let unplayed: i64 = self
-            .steps_in_word
-            .iter()
-            .enumerate()
-            .filter(|(word, _)| {
-                let half = word / REFILL_WORDS;
-                if Some(half) == stale_half {
-                    return false;
-                }
-                // Words of the half that is read are played up to `reading`; all of the other
-                // half are still to come.
-                half != reading / REFILL_WORDS || *word > reading
-            })
-            .map(|(_, steps)| i64::from(*steps))
-            .sum();
-        self.booked_steps - unplayed
+        let mut played_steps = self.booked_steps;
+        for (index, half) in self.halves.iter().enumerate() {
+            if Some(index) == stale_half {
+                continue;
+            }
+            // Words of the half that is read are played up to `reading`; all of the other half are
+            // still to come.
+            let unplayed = if index == reading / REFILL_WORDS {
+                reading % REFILL_WORDS + 1
+            } else {
+                0
+            };
+            played_steps -= half.steps_from(unplayed);
+        }
+        played_steps
     }
 
     /// Un-books what was not played: from here on the count is `played_steps`.
     pub(crate) fn settle(&mut self, played_steps: i64) {
         self.booked_steps = played_steps;
-        self.steps_in_word = [0; CHANNEL_WORDS];
+        self.halves = [Half::NONE; 2];
     }
 
     /// Returns all that was booked.
@@ -70,7 +93,7 @@ mod tests {
     fn booked(words: usize) -> Ledger {
         let mut ledger = Ledger::new();
         for half in 0..words / REFILL_WORDS {
-            ledger.book(half % 2, &[1; REFILL_WORDS]);
+            ledger.book(half % 2, (1 << REFILL_WORDS) - 1, 1);
         }
         ledger
     }
@@ -97,11 +120,8 @@ mod tests {
     #[test]
     fn rests_and_slow_steps_count_by_their_words() {
         let mut ledger = Ledger::new();
-        let mut words = [0; REFILL_WORDS];
-        words[3] = -1;
-        words[20] = -1;
-        ledger.book(0, &words);
-        ledger.book(1, &[0; REFILL_WORDS]);
+        ledger.book(0, 1 << 3 | 1 << 20, -1);
+        ledger.book(1, 0, -1);
         let played: [i64; 4] = [2, 3, 19, 20].map(|reading| ledger.played_steps(reading, None));
         assert_eq!(played, [0, -1, -1, -2]);
         ledger.settle(-1);

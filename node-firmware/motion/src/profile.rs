@@ -116,6 +116,11 @@ impl Timing {
         self.high_ticks_min + self.low_ticks_min
     }
 
+    /// Returns the shortest interval whose high time is the full one, ticks.
+    pub(crate) fn full_high_ticks_min(&self) -> u64 {
+        (2 * self.high_ticks).max(self.high_ticks + self.low_ticks_min)
+    }
+
     /// Returns the high time of a step with this interval, ticks.
     pub(crate) fn high_of(&self, interval_ticks: u64) -> u64 {
         (interval_ticks / 2)

@@ -127,8 +127,12 @@ impl SegmentRing {
         self.count += 1;
     }
 
+    pub(crate) fn front(&self) -> Option<&Segment> {
+        (self.count > 0).then(|| &self.segments[self.first])
+    }
+
     pub(crate) fn peek(&self) -> Option<Segment> {
-        (self.count > 0).then(|| self.segments[self.first])
+        self.front().copied()
     }
 
     pub(crate) fn pop(&mut self) -> Option<Segment> {
