@@ -18,7 +18,7 @@ mod sink;
 
 use cases::{CASES, Case};
 use keys::command::COMMAND_WORDS;
-use motion::limits::REFILL_WORDS;
+use motion::limits::{REFILL_WORDS, TICK_HZ};
 use std::{
     collections::HashMap,
     env, fs,
@@ -35,6 +35,7 @@ struct Counts {
     words: f64,
     refill: f64,
     plan: f64,
+    ticks: f64,
     /// Calls and instructions of each function itself.
     functions: HashMap<String, f64>,
 }
@@ -78,11 +79,12 @@ fn count_there() -> HashMap<(usize, u32), Counts> {
             .split(' ')
             .map_while(|word| word.parse().ok())
             .collect();
-        if let [index, size, refills, refill, both] = numbers[..] {
+        if let [index, size, refills, refill, plan, ticks] = numbers[..] {
             let counts = Counts {
                 words: (refills * REFILL_WORDS as u64) as f64,
                 refill: refill as f64,
-                plan: (both - refill) as f64,
+                plan: plan as f64,
+                ticks: ticks as f64,
                 functions: HashMap::new(),
             };
             all.insert((index as usize, size as u32), counts);
@@ -120,6 +122,7 @@ fn read(profile: &str) -> Counts {
         words: 0.0,
         refill,
         plan: total - refill,
+        ticks: 0.0,
         functions,
     }
 }
@@ -133,6 +136,7 @@ fn difference(more: Counts, less: &Counts) -> Counts {
         words: more.words - less.words,
         refill: more.refill - less.refill,
         plan: more.plan - less.plan,
+        ticks: more.ticks - less.ticks,
         functions: functions.collect(),
     }
 }
@@ -185,12 +189,8 @@ fn print_budget(counted: &[(&Case, Counts)]) {
         "", "axes", "refill", "planner", "both"
     );
     for (case, counts) in counted {
-        let Some(micros) = case.micros else {
-            continue;
-        };
-        let [less, more] = case.sizes.map(micros);
         let copies = if case.axis_count == 1 { 4 } else { 1 };
-        let cycles = (more - less) as f64 / 1e6 * CORE_HZ;
+        let cycles = counts.ticks / TICK_HZ as f64 * CORE_HZ;
         let percent = |cost: f64| cost * f64::from(copies) / cycles * 100.0;
         println!(
             "{:>45} {:>8} {:>9.1} {:>9.1} {:>9.1}",

@@ -21,8 +21,6 @@ pub(crate) struct Case {
     pub(crate) units: fn(u32) -> u32,
     /// What the cost is told for.
     pub(crate) unit: &'static str,
-    /// How long the motion of a length lasts, µs, if its share of a core is asked for.
-    pub(crate) micros: Option<fn(u32) -> u64>,
 }
 
 impl Case {
@@ -110,11 +108,6 @@ fn four(index: u32, jerk_hz_per_s2: u32) -> Command {
     }
 }
 
-/// Returns how long it takes to speed up over so many steps and to slow down over as many, µs.
-fn ramp_micros(steps: u32) -> u64 {
-    2 * (u64::from(steps) * 1_000_000_000_000 / u64::from(ACCEL_HZ_PER_S)).isqrt()
-}
-
 /// All that is counted.
 pub(crate) const CASES: [Case; 13] = [
     Case {
@@ -125,7 +118,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |size, _| run(5, size),
         units: |size| size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * 5),
     },
     Case {
         name: "move at 1 kHz",
@@ -135,7 +127,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |size, _| run(1_000, size),
         units: |size| size,
         unit: "step",
-        micros: None,
     },
     Case {
         name: "pause",
@@ -145,7 +136,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |size, _| Command::Pause { pause_ms: size },
         units: |size| size,
         unit: "ms",
-        micros: None,
     },
     Case {
         name: "moves of one step",
@@ -155,7 +145,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, _| run(10, 1),
         units: |size| size,
         unit: "command",
-        micros: None,
     },
     Case {
         name: "ramps of 20 steps: their starts and ends",
@@ -165,7 +154,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, _| ramp(20),
         units: |size| 20 * size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * ramp_micros(20)),
     },
     Case {
         name: "ramps of 1 step",
@@ -175,7 +163,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, _| ramp(1),
         units: |size| size,
         unit: "command",
-        micros: None,
     },
     Case {
         name: "ramps to 200 kHz and down",
@@ -185,7 +172,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, _| ramp(20_000),
         units: |size| 20_000 * size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * ramp_micros(20_000)),
     },
     Case {
         name: "ramps near 200 kHz: 180 to 200 and down",
@@ -195,7 +181,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |size, _| ramp(size),
         units: |size| size,
         unit: "step",
-        micros: Some(ramp_micros),
     },
     Case {
         name: "coast at 200 kHz",
@@ -205,7 +190,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |size, _| ramp(size),
         units: |size| size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * 5),
     },
     Case {
         name: "short lines, 64 looked at",
@@ -215,7 +199,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, index| curve(index, 0),
         units: |size| size,
         unit: "line",
-        micros: Some(|size| u64::from(size) * 1_000),
     },
     Case {
         name: "short S-curve lines, 64 looked at",
@@ -225,7 +208,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, index| curve(index, 20_000_000),
         units: |size| size,
         unit: "line",
-        micros: Some(|size| u64::from(size) * 1_000),
     },
     Case {
         name: "lines on four axes, up to 200 kHz and down",
@@ -235,7 +217,6 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, index| four(index, 0),
         units: |size| 74_000 * size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * 201_000),
     },
     Case {
         name: "S-curve lines on four axes, likewise",
@@ -245,6 +226,5 @@ pub(crate) const CASES: [Case; 13] = [
         command: |_, index| four(index, 100_000_000),
         units: |size| 74_000 * size,
         unit: "step",
-        micros: Some(|size| u64::from(size) * 221_000),
     },
 ];

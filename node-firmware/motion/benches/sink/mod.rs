@@ -4,7 +4,9 @@
 
 use core::{array, hint::black_box, sync::atomic::AtomicU32};
 use keys::{AxisId, Command, status::FaultCode};
-use motion::{Axis, AxisProfile, CommandRing, Motion, MotionConfig, StepBackend, Ticks, limits};
+use motion::{
+    Axis, AxisProfile, CommandRing, Fill, Motion, MotionConfig, StepBackend, Ticks, limits,
+};
 
 /// Consumes half blocks at once.
 struct Sink {
@@ -22,12 +24,16 @@ pub(crate) struct Run {
     pub(crate) refills: u32,
     /// Instructions of that, as the given counter counts.
     pub(crate) refill_instructions: u64,
+    /// Instructions of what only the count needs.
+    pub(crate) own_instructions: u64,
+    /// How long the motion lasted, ticks.
+    pub(crate) ticks: u64,
 }
 
 /// The whole refill of one axis, under a name that a profiler's counts can be found by.
 #[inline(never)]
-fn refill_of_axis(axis: &mut Axis, half: usize) {
-    black_box(axis.fill(half));
+fn refill_of_axis(axis: &mut Axis, half: usize) -> Fill {
+    black_box(axis.fill(half))
 }
 
 impl StepBackend for Sink {
@@ -46,13 +52,22 @@ impl StepBackend for Sink {
     fn service(&mut self, until: Ticks) -> Ticks {
         while self.playing {
             self.playing = false;
-            for axis in self.axes.iter_mut().filter(|axis| !axis.has_ended()) {
+            for (index, axis) in self.axes.iter_mut().enumerate() {
+                if axis.has_ended() {
+                    continue;
+                }
                 let before = (self.count)();
-                refill_of_axis(axis, self.half);
-                let instructions = (self.count)().wrapping_sub(before);
-                self.run.refill_instructions += u64::from(instructions);
+                let fill = refill_of_axis(axis, self.half);
+                let behind = (self.count)();
                 self.run.refills += 1;
                 self.playing |= !axis.has_ended();
+                if index == 0 {
+                    self.run.ticks += fill.words.iter().map(|word| word.ticks()).sum::<u64>();
+                }
+                let instructions = behind.wrapping_sub(before);
+                self.run.refill_instructions += u64::from(instructions);
+                let own = (self.count)().wrapping_sub(behind);
+                self.run.own_instructions += u64::from(own);
             }
             self.half ^= 1;
             if self.axes.iter().any(Axis::wants_planning) {
