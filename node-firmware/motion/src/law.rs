@@ -58,7 +58,7 @@ impl Piece {
     pub fn way_at(&self, ticks: Real) -> Real {
         let mut sum = self.accel.half();
         if self.jerk != Real::ZERO {
-            sum = sum + self.jerk * ticks / Real::of(6);
+            sum = sum + (self.jerk * ticks).half().third();
         }
         (self.speed + sum * ticks) * ticks
     }
@@ -86,14 +86,13 @@ impl Piece {
         if self.speed == Real::ZERO && self.accel == Real::ZERO {
             return (way * Real::of(6) / self.jerk).cube_root();
         }
-        self.search(way)
+        // The share of the way, by the mean speed.
+        self.search(way, self.ticks * way / self.way())
     }
 
-    /// Newton's method, kept between bounds.
-    fn search(&self, way: Real) -> Real {
+    /// Newton's method from near `ticks`, kept between bounds.
+    pub(crate) fn search(&self, way: Real, mut ticks: Real) -> Real {
         let (mut low, mut high) = (Real::ZERO, self.ticks);
-        // The share of the way, by the mean speed.
-        let mut ticks = self.ticks * way / self.way();
         for _ in 0..SEARCH_STEPS_MAX {
             let error = self.way_at(ticks) - way;
             if error.is_negative() {
@@ -189,6 +188,10 @@ enum Kind {
         jerk: Real,
         /// Jerk that may end an acceleration under way.
         level_jerk: Real,
+        /// How long the acceleration rises to its greatest, ticks.
+        swing: Real,
+        /// What speed rises at least when it does, steps per tick.
+        full: Real,
     },
 }
 
@@ -221,9 +224,12 @@ impl Law {
             RampShape::Jerk { jerk_hz_per_s2 } => {
                 assert!(jerk_hz_per_s2 > 0, "an S-curve needs jerk");
                 let jerk = jerk_from_hz_per_s2(jerk_hz_per_s2);
+                let swing = accel / jerk;
                 Kind::Jerk {
                     jerk,
                     level_jerk: jerk,
+                    swing,
+                    full: accel * swing,
                 }
             }
         };
@@ -239,9 +245,16 @@ impl Law {
                 jerk: jerk * ratio,
                 speed: speed * ratio,
             },
-            Kind::Jerk { jerk, level_jerk } => Kind::Jerk {
+            Kind::Jerk {
+                jerk,
+                level_jerk,
+                swing,
+                full,
+            } => Kind::Jerk {
                 jerk: jerk * ratio,
                 level_jerk: level_jerk * ratio,
+                swing,
+                full: full * ratio,
             },
         };
         Self {
@@ -310,14 +323,15 @@ impl Law {
                     rise.push(self.steady(low.max(speed), high));
                 }
             }
-            Kind::Jerk { jerk, .. } => {
+            Kind::Jerk {
+                jerk, swing, full, ..
+            } => {
                 let gain = high - low;
                 if gain.is_none() {
                     return rise;
                 }
-                let full = self.accel.squared() / jerk;
                 let (swing, hold) = if gain >= full {
-                    (self.accel / jerk, (gain - full) / self.accel)
+                    (swing, (gain - full) / self.accel)
                 } else {
                     ((gain / jerk).root(), Real::ZERO)
                 };
@@ -362,7 +376,17 @@ impl Law {
             Kind::Constant => (high.squared() - low.squared()).half() / self.accel,
             Kind::Linear { .. } => self.way_from_rest(high) - self.way_from_rest(low),
             // The acceleration is symmetric about its middle: the mean speed is that of both ends.
-            Kind::Jerk { .. } => (low + high).half() * self.rise(low, high).ticks(),
+            Kind::Jerk {
+                jerk, swing, full, ..
+            } => {
+                let gain = high - low;
+                let ticks = if gain >= full {
+                    gain / self.accel + swing
+                } else {
+                    (gain / jerk).root().twice()
+                };
+                (low + high).half() * ticks
+            }
         }
     }
 
@@ -371,11 +395,11 @@ impl Law {
         match self.kind {
             Kind::Linear { jerk, speed: end } if speed <= end => {
                 let ticks = (speed.twice() / jerk).root();
-                jerk * ticks.squared() * ticks / Real::of(6)
+                (jerk * ticks.squared() * ticks).half().third()
             }
             Kind::Linear { jerk, speed: end } => {
                 let ticks = (end.twice() / jerk).root();
-                jerk * ticks.squared() * ticks / Real::of(6)
+                (jerk * ticks.squared() * ticks).half().third()
                     + (speed.squared() - end.squared()).half() / self.accel
             }
             _ => speed.squared().half() / self.accel,
@@ -412,8 +436,7 @@ impl Law {
                 let sum = way + self.way_from_rest(from) + self.way_from_rest(to);
                 most(self.speed_after(sum.half()).max(from).max(to))
             }
-            Kind::Jerk { jerk, .. } if from == Real::ZERO && to == Real::ZERO => {
-                let swing = self.accel / jerk;
+            Kind::Jerk { jerk, swing, .. } if from == Real::ZERO && to == Real::ZERO => {
                 let least = (self.accel * swing.squared()).twice();
                 most(if way >= least {
                     let root = (swing.squared() + (way / self.accel).shifted(2)).root();
@@ -422,56 +445,103 @@ impl Law {
                     (way.squared() * jerk).shifted(-2).cube_root()
                 })
             }
-            Kind::Jerk { .. } => self.search_peak(way, from, to, speed_max),
+            Kind::Jerk { .. } => {
+                if let Some(max) = speed_max
+                    && self.way(from, max) + self.way(to, max) <= way
+                {
+                    return max;
+                }
+                most(self.search_peak(way, from.max(to), from.min(to)))
+            }
         }
     }
 
-    fn search_peak(&self, way: Real, from: Real, to: Real, speed_max: Option<Real>) -> Real {
-        let needs = |peak: Real| self.way(from, peak) + self.way(to, peak);
-        let mut low = from.max(to);
-        // Constant acceleration is faster.
-        let square = self.accel * way + (from.squared() + to.squared()).half();
-        let mut high = square.root().max(low);
-        if let Some(max) = speed_max {
-            if needs(max) <= way {
-                return max;
+    /// Returns the speed at which rises of an S-curve from `high` and from `low` make `way`
+    /// together.
+    ///
+    /// Newton's method in u = √(gain / jerk) of the smaller gain: in it the way is convex, so that
+    /// it comes from above and never leaves the bounds.
+    fn search_peak(&self, way: Real, high: Real, low: Real) -> Real {
+        let Kind::Jerk {
+            jerk, swing, full, ..
+        } = self.kind
+        else {
+            return high;
+        };
+        // Constant acceleration needs less way, and so does jerk alone from rest.
+        let square = self.accel * way + (high.squared() + low.squared()).half();
+        let steady = (square.root() - high) / jerk;
+        let alone = (way.half() / jerk).cube_root();
+        let mut u = steady.root().min(alone);
+        // Duration of a rise by this gain, and what it is longer for each unit of gain more.
+        let rise = |gain: Real| {
+            if gain >= full {
+                (gain / self.accel + swing, Real::of(1) / self.accel)
+            } else {
+                let ticks = (gain / jerk).root().twice();
+                (ticks, ticks / gain.twice())
             }
-            high = high.min(max);
-        }
-        for _ in 0..PEAK_STEPS_MAX {
-            let middle = (low + high).half();
-            if middle == low || middle == high {
+        };
+        for _ in 0..SEARCH_STEPS_MAX {
+            if u.is_none() {
                 break;
             }
-            if needs(middle) <= way {
-                low = middle;
+            let gain = jerk * u.squared();
+            let peak = high + gain;
+            // Of the larger gain, by the peak; of the smaller one, by u: its change by u is finite.
+            let (ticks, longer) = rise(peak - low);
+            let mean = (low + peak).half();
+            let (own_ticks, own_longer) = if gain >= full {
+                rise(gain)
             } else {
-                high = middle;
+                (u.twice(), Real::of(1) / (jerk * u))
+            };
+            let own_mean = (high + peak).half();
+            let error = own_mean * own_ticks + mean * ticks - way;
+            let slope = (ticks + own_ticks).half() + mean * longer + own_mean * own_longer;
+            let change = error / (slope * jerk * u.twice());
+            u = u - change;
+            if change.is_none() || change < u.shifted(-SEARCH_BITS) {
+                break;
             }
         }
-        low
+        // No more way than there is, for all that was cut.
+        let peak = high + jerk * u.max(Real::ZERO).squared();
+        high.max(peak - peak.shifted(-PEAK_SLACK_BITS))
     }
 
     /// Returns the highest speed from which `to` is reached within `way`, at most `speed_max`.
     pub fn speed_before(&self, way: Real, to: Real, speed_max: Real) -> Real {
         match self.kind {
-            Kind::Jerk { .. } => {
+            Kind::Jerk {
+                jerk, swing, full, ..
+            } => {
                 if speed_max <= to || self.way(to, speed_max) <= way {
                     return speed_max;
                 }
-                let (mut low, mut high) = (to, speed_max);
-                for _ in 0..PEAK_STEPS_MAX {
-                    let middle = (low + high).half();
-                    if middle == low || middle == high {
+                if way >= (to.twice() + full) * swing {
+                    // The acceleration reaches its greatest: a square equation.
+                    let part = full.half();
+                    let square = (part - to).squared() + (self.accel * way).twice();
+                    return (square.root() - part).max(to).min(speed_max);
+                }
+                // way = (2·to + jerk·u²)·u with u = √(gain / jerk): Newton's method from above.
+                let mut u = (way / jerk).cube_root();
+                if !to.is_none() {
+                    u = u.min(way / to.twice());
+                }
+                for _ in 0..SEARCH_STEPS_MAX {
+                    let square = jerk * u.squared();
+                    let next = ((square * u).twice() + way) / (square + (square + to).twice());
+                    let change = u - next;
+                    u = next;
+                    if change.is_none() || change < u.shifted(-SEARCH_BITS) {
                         break;
                     }
-                    if self.way(to, middle) <= way {
-                        low = middle;
-                    } else {
-                        high = middle;
-                    }
                 }
-                low
+                let speed = to + jerk * u.squared();
+                to.max(speed - speed.shifted(-PEAK_SLACK_BITS))
+                    .min(speed_max)
             }
             Kind::Constant => (to.squared() + (self.accel * way).twice())
                 .root()
@@ -483,5 +553,73 @@ impl Law {
     }
 }
 
-/// Steps of a bisection: from the speed itself to 2⁻⁵⁰ of it.
-const PEAK_STEPS_MAX: usize = 50;
+/// A search by Newton's method from above ends when it moves by less than 2⁻³⁰: the next step would
+/// be the square of that.
+const SEARCH_BITS: i32 = 30;
+
+/// A peak that was searched is lowered by 2⁻⁵⁴ of it.
+const PEAK_SLACK_BITS: i32 = 54;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The highest speed from `low` to `high` whose way is at most `way`.
+    fn bisect(mut low: Real, mut high: Real, way: Real, needs: impl Fn(Real) -> Real) -> Real {
+        for _ in 0..80 {
+            let middle = (low + high).half();
+            if needs(middle) <= way {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        low
+    }
+
+    #[test]
+    fn the_searched_speeds_of_an_s_curve_are_those_of_a_bisection() {
+        let mut state = 17_u64;
+        let mut next = |most: u64| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 24) % most
+        };
+        for case in 0..3_000 {
+            // Each over its orders of magnitude, so that every order of limits comes about.
+            let mut any = |most: u64| {
+                let size = next(most) + 1;
+                (next(1 << size) + 1) as u32
+            };
+            let shape = RampShape::Jerk {
+                jerk_hz_per_s2: any(31),
+            };
+            let law = Law::new(any(24), shape);
+            let (from, to) = (speed_from_hz(any(18)), speed_from_hz(any(18)));
+            let from = if case % 7 == 0 { Real::ZERO } else { from };
+            let to = if case % 5 == 0 { from } else { to };
+            let (low, high) = (from.min(to), from.max(to));
+            let way = law.way(low, high) + Real::of(u64::from(any(24)));
+            let most = (low + high + (law.accel() * way).root().twice()).twice();
+            let close = |found: Real, expected: Real, needs: Real| {
+                let error = (found - expected).abs();
+                assert!(
+                    error <= expected.shifted(-40),
+                    "{case}: {law:?} {from:?} {to:?} {way:?}: {found:?}, not {expected:?}"
+                );
+                assert!(needs <= way + way.shifted(-45), "{case}: it needs more way");
+            };
+            let needs = |peak: Real| law.way(from, peak) + law.way(to, peak);
+            let found = law.peak(way, from, to, None);
+            close(found, bisect(high, most, way, needs), needs(found));
+            assert_eq!(
+                law.peak(way, from, to, Some(found.half().max(high))),
+                found.half().max(high)
+            );
+            let needs = |speed: Real| law.way(to, speed);
+            let found = law.speed_before(way, to, most);
+            close(found, bisect(to, most, way, needs), needs(found));
+        }
+    }
+}

@@ -9,8 +9,15 @@
 //! backwards: before a line, no faster than what can be slowed down within it. They are kept, so
 //! that one line more costs only as many steps backwards as it makes a difference.
 
-use crate::{law::Law, profile::Timing, real::Real};
-use keys::command::{LINE_AXES, RampShape};
+use crate::{
+    law::{Law, speed_from_hz},
+    profile::Timing,
+    real::Real,
+};
+use keys::{
+    Command,
+    command::{LINE_AXES, RampShape},
+};
 
 /// Lines behind the present one that are looked at. With 1 mm lines at 100 mm/s: 640 ms.
 pub const LINES_MAX: usize = 64;
@@ -53,6 +60,29 @@ impl Line {
             stretch: squares.root(),
             joins: true,
         }
+    }
+
+    /// Returns the way of a [`Command::Line`] that has steps, `None` for other commands.
+    pub(crate) fn of(command: &Command) -> Option<Self> {
+        let Command::Line {
+            steps,
+            speed_hz,
+            accel_hz_per_s,
+            jerk_hz_per_s2,
+        } = *command
+        else {
+            return None;
+        };
+        let shape = match jerk_hz_per_s2 {
+            0 => RampShape::Trapezoid {
+                linear_steps: 0,
+                jump_steps: 0,
+            },
+            jerk_hz_per_s2 => RampShape::Jerk { jerk_hz_per_s2 },
+        };
+        let steps = steps.map(i64::from);
+        let speed = speed_from_hz(speed_hz);
+        Some(Self::new(steps, speed, accel_hz_per_s, shape))
     }
 
     /// Returns the speed that the drivers' pulses allow, in the line's measure.
@@ -167,11 +197,13 @@ impl LookAhead {
     }
 
     /// Returns the greatest speed with which `line` may be left, in its own measure, steps per
-    /// tick; `behind` gives all the lines after it.
+    /// tick; `behind` gives the commands of all the lines after it, `within` a line as fast as it
+    /// may be.
     pub(crate) fn exit_speed(
         &mut self,
         line: &Line,
-        behind: impl Iterator<Item = Line>,
+        behind: impl Iterator<Item = Command>,
+        within: impl Fn(Line) -> Line,
         timing: &[Timing],
     ) -> Real {
         if !line.joins {
@@ -183,10 +215,13 @@ impl LookAhead {
         } else {
             *line
         };
-        for next in behind.skip(before) {
-            if self.count == LINES_MAX || self.closed {
+        if before == LINES_MAX || self.closed {
+            return self.first_entry(before) / line.stretch;
+        }
+        for command in behind.skip(before).take(LINES_MAX - before) {
+            let Some(next) = Line::of(&command).map(&within) else {
                 break;
-            }
+            };
             let corner = corner_speed(&last, &next, timing);
             if corner.is_none() {
                 self.closed = true;
@@ -204,6 +239,19 @@ impl LookAhead {
             self.count += 1;
             last = next;
         }
+        self.first_entry(before) / line.stretch
+    }
+
+    /// Finds the entry speeds from the last line backwards, given that `before` lines have theirs
+    /// already. Returns that of the first one.
+    fn first_entry(&mut self, before: usize) -> Real {
+        if self.count == before {
+            // Nothing is new.
+            return match before {
+                0 => Real::ZERO,
+                _ => self.known(0).entry,
+            };
+        }
         let mut speed = Real::ZERO;
         for index in (0..self.count).rev() {
             let place = self.place(index);
@@ -216,9 +264,6 @@ impl LookAhead {
             known.entry = entry;
             speed = entry;
         }
-        if self.count == 0 {
-            return Real::ZERO;
-        }
-        self.known(0).entry / line.stretch
+        self.known(0).entry
     }
 }

@@ -896,7 +896,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 let way = way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX);
                 ramp(axis, way as i64, how)
             }
-            _ => line_of(command).map(|line| (line, 0)),
+            _ => Line::of(command).map(|line| (line, 0)),
         }
     }
 
@@ -955,11 +955,11 @@ const WAY_STEPS_MAX: i128 = 1 << 62;
 const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
 
 /// Returns the lines with which commands begin. What takes no time does not end a path.
-fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Line> {
+fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Command> {
     commands
         .take(LOOK_COMMANDS_MAX)
         .filter(|next| !takes_no_time(next))
-        .map_while(|next| line_of(&next))
+        .take_while(|next| matches!(next, Command::Line { .. }))
 }
 
 fn takes_no_time(command: &Command) -> bool {
@@ -967,29 +967,6 @@ fn takes_no_time(command: &Command) -> bool {
         command,
         Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
     )
-}
-
-/// Returns the way of a [`Command::Line`], `None` for other commands.
-fn line_of(command: &Command) -> Option<Line> {
-    let Command::Line {
-        steps,
-        speed_hz,
-        accel_hz_per_s,
-        jerk_hz_per_s2,
-    } = *command
-    else {
-        return None;
-    };
-    let shape = match jerk_hz_per_s2 {
-        0 => RampShape::Trapezoid {
-            linear_steps: 0,
-            jump_steps: 0,
-        },
-        jerk_hz_per_s2 => RampShape::Jerk { jerk_hz_per_s2 },
-    };
-    let steps = steps.map(i64::from);
-    let speed = speed_from_hz(speed_hz);
-    Some(Line::new(steps, speed, accel_hz_per_s, shape))
 }
 
 /// Returns when the channels are surely quiet after the end of a timeline: the last step's hold

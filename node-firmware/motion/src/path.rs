@@ -35,6 +35,23 @@ struct Phase {
 }
 
 impl Phase {
+    /// No motion, at this time and place.
+    const fn rest(ticks: Real, place: Real) -> Self {
+        Self {
+            end_ticks: ticks,
+            end_steps: place,
+            anchor_ticks: ticks,
+            anchor_steps: place,
+            backward: false,
+            piece: Piece {
+                ticks: Real::ZERO,
+                speed: Real::ZERO,
+                accel: Real::ZERO,
+                jerk: Real::ZERO,
+            },
+        }
+    }
+
     fn ticks_at(&self, place: Real) -> Real {
         if self.backward {
             self.anchor_ticks - self.piece.ticks_at(self.anchor_steps - place)
@@ -64,6 +81,79 @@ impl Phase {
                 speed,
                 accel,
             }
+        }
+    }
+}
+
+/// A phase that is asked often: what does not depend on the place is computed once.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    phase: Phase,
+    /// Constant acceleration: the square of the speed at the anchor.
+    square: Real,
+    /// 1 / acceleration; 6 / jerk from rest; 1 / speed without either.
+    inverse: Real,
+}
+
+impl Span {
+    fn of(phase: &Phase) -> Self {
+        let Piece {
+            speed, accel, jerk, ..
+        } = phase.piece;
+        let one = Real::of(1);
+        let inverse = if jerk != Real::ZERO {
+            if speed == Real::ZERO && accel == Real::ZERO {
+                Real::of(6) / jerk
+            } else {
+                Real::ZERO
+            }
+        } else if accel != Real::ZERO {
+            one / accel
+        } else if speed != Real::ZERO {
+            one / speed
+        } else {
+            Real::ZERO
+        };
+        Self {
+            phase: *phase,
+            square: speed.squared(),
+            inverse,
+        }
+    }
+
+    /// Returns when this place of it is passed, ticks from the path's begin; a jerk's time is
+    /// searched from near `guess_ticks`.
+    pub(crate) fn ticks_near(&self, place: Real, guess_ticks: Real) -> Real {
+        let Phase {
+            anchor_ticks,
+            anchor_steps,
+            backward,
+            piece,
+            ..
+        } = &self.phase;
+        let (way, guess) = if *backward {
+            (*anchor_steps - place, *anchor_ticks - guess_ticks)
+        } else {
+            (place - *anchor_steps, guess_ticks - *anchor_ticks)
+        };
+        let ticks = if way.is_none() {
+            Real::ZERO
+        } else if piece.jerk != Real::ZERO {
+            if piece.speed == Real::ZERO && piece.accel == Real::ZERO {
+                (way * self.inverse).cube_root()
+            } else {
+                piece.search(way, guess.max(Real::ZERO).min(piece.ticks))
+            }
+        } else if piece.accel != Real::ZERO {
+            let speed = (self.square + (piece.accel * way).twice()).root();
+            (speed - piece.speed) * self.inverse
+        } else {
+            way * self.inverse
+        };
+        if *backward {
+            *anchor_ticks - ticks
+        } else {
+            *anchor_ticks + ticks
         }
     }
 }
@@ -103,22 +193,9 @@ pub struct Path {
 impl Path {
     /// A path that has not begun.
     pub fn at(begin: State) -> Self {
-        let none = Phase {
-            end_ticks: Real::ZERO,
-            end_steps: begin.place,
-            anchor_ticks: Real::ZERO,
-            anchor_steps: begin.place,
-            backward: false,
-            piece: Piece {
-                ticks: Real::ZERO,
-                speed: Real::ZERO,
-                accel: Real::ZERO,
-                jerk: Real::ZERO,
-            },
-        };
         Self {
             begin,
-            phases: [none; PHASES_MAX],
+            phases: [Phase::rest(Real::ZERO, begin.place); PHASES_MAX],
             count: 0,
         }
     }
@@ -167,13 +244,13 @@ impl Path {
         speed_max: Real,
         law: &Law,
     ) -> Result<(), TooShort> {
-        let mut path = *self;
-        let mut speed = path.level_out(law);
+        let before = self.count;
+        let mut speed = self.level_out(law);
         if speed > speed_max {
-            path.fall(speed, speed_max, law);
+            self.fall(speed, speed_max, law);
             speed = speed_max;
         }
-        let way = to_place - path.end_steps();
+        let way = to_place - self.end_steps();
         let to_speed = to_speed.min(speed_max);
         let least = if speed > to_speed {
             law.way(to_speed, speed)
@@ -182,6 +259,7 @@ impl Path {
         };
         // Rounding in the last bits is no lack of way.
         if least > way + way.abs().shifted(-SLACK_BITS) + Real::of(1).shifted(-SLACK_BITS) {
+            self.count = before;
             return Err(TooShort);
         }
         let peak = law.peak(way, speed, to_speed, Some(speed_max));
@@ -189,10 +267,10 @@ impl Path {
         let down = law.rise(to_speed, peak);
         let coast = way - up.way() - down.way();
         for piece in up.pieces() {
-            path.forward(*piece);
+            self.forward(*piece);
         }
         if !coast.is_none() && !peak.is_none() {
-            path.forward(Piece {
+            self.forward(Piece {
                 ticks: coast / peak,
                 speed: peak,
                 accel: Real::ZERO,
@@ -200,9 +278,8 @@ impl Path {
             });
         }
         // From the end: the last piece first.
-        let end_ticks = path.ticks() + down.ticks();
-        path.backward(down.pieces(), end_ticks, to_place);
-        *self = path;
+        let end_ticks = self.ticks() + down.ticks();
+        self.backward(down.pieces(), end_ticks, to_place);
         Ok(())
     }
 
@@ -262,12 +339,21 @@ impl Path {
     }
 
     /// Returns the place up to which the phase at `place` lasts, steps.
-    pub fn phase_end_steps(&self, place: Real) -> Real {
+    pub(crate) fn phase_end_steps(&self, place: Real) -> Real {
         let phases = &self.phases[..self.count];
         phases
             .iter()
             .find(|phase| place <= phase.end_steps)
             .map_or_else(|| self.end_steps(), |phase| phase.end_steps)
+    }
+
+    /// Returns the phase at `place`; behind the end, one without motion.
+    pub(crate) fn span_at(&self, place: Real) -> Span {
+        let phases = &self.phases[..self.count];
+        match phases.iter().find(|phase| place <= phase.end_steps) {
+            Some(phase) => Span::of(phase),
+            None => Span::of(&Phase::rest(self.ticks(), self.end_steps())),
+        }
     }
 
     /// Returns where it is, `ticks` after its begin.

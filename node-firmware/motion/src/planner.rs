@@ -133,10 +133,11 @@ impl Stretch {
         path
     }
 
-    fn steps(&self, timing: &[Timing]) -> Steps {
+    /// Returns the edges of its path.
+    fn steps(&self, path: &Path, timing: &[Timing]) -> Steps {
         let line = &self.line;
         Steps::new(
-            self.path(),
+            *path,
             self.begin,
             self.exit,
             line.major_steps,
@@ -393,15 +394,21 @@ impl Planner {
                 return true;
             }
             let stretch = self.stretches[self.writing].expect("below the count");
-            let mut steps = stretch.steps(&timing_of(axes)[..axes.len()]);
-            for (index, rewound) in self.rewound.iter().enumerate() {
-                if rewound.at > stretch.begin.ticks {
-                    steps.skip(index, rewound.booked_steps - stretch.base_steps[index]);
-                }
-            }
-            self.steps = Some(steps);
-            self.writing += 1;
+            let timing = timing_of(axes);
+            let steps = stretch.steps(&stretch.path(), &timing[..axes.len()]);
+            self.begin_writing(&stretch, steps);
         }
+    }
+
+    /// Writes the next stretch, but for what was encoded of it before the plan was left.
+    fn begin_writing(&mut self, stretch: &Stretch, mut steps: Steps) {
+        for (index, rewound) in self.rewound.iter().enumerate() {
+            if rewound.at > stretch.begin.ticks {
+                steps.skip(index, rewound.booked_steps - stretch.base_steps[index]);
+            }
+        }
+        self.steps = Some(steps);
+        self.writing += 1;
     }
 
     /// Begins a ramp or a line at `begin` (or where the last line is left, at speed). `behind` are
@@ -410,7 +417,7 @@ impl Planner {
         &mut self,
         line: Line,
         jump_steps: u16,
-        behind: impl Iterator<Item = Line>,
+        behind: impl Iterator<Item = Command>,
         begin: u64,
         base_steps: [i64; CHANNELS],
         axes: &[Axis],
@@ -453,7 +460,7 @@ impl Planner {
         &mut self,
         mut line: Line,
         from: State,
-        behind: impl Iterator<Item = Line>,
+        behind: impl Iterator<Item = Command>,
         begin: Moment,
         moving: bool,
         base_steps: [i64; CHANNELS],
@@ -466,14 +473,14 @@ impl Planner {
         let goal = if self.holding {
             Goal::Rest
         } else {
-            let behind = behind.map(|mut line| {
+            let within = |mut line: Line| {
                 line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
                 line
-            });
+            };
             let way = Real::of(line.major_steps) - from.place;
             // No faster than can be reached within the line.
             let reached = line.law.speed_before(way, from.speed, line.speed_max);
-            let exit_speed = self.ahead.exit_speed(&line, behind, timing);
+            let exit_speed = self.ahead.exit_speed(&line, behind, within, timing);
             Goal::Leave(exit_speed.min(reached))
         };
         let mut stretch = Stretch {
@@ -494,7 +501,7 @@ impl Planner {
         if moves && !held {
             stretch.exit = Exit::Moving;
         }
-        let mut steps = stretch.steps(timing);
+        let mut steps = stretch.steps(&path, timing);
         if !moving {
             self.make_room_for_turns(&mut steps, begin.ticks, axes);
             for tail in &mut self.tails {
@@ -531,6 +538,9 @@ impl Planner {
         assert!(self.has_room(), "asked before");
         self.stretches[self.count] = Some(stretch);
         self.count += 1;
+        if self.steps.is_none() && self.writing + 1 == self.count {
+            self.begin_writing(&stretch, steps);
+        }
         begun
     }
 
@@ -664,7 +674,7 @@ impl Planner {
     pub(crate) fn go_on(
         &mut self,
         split: Split,
-        behind: impl Iterator<Item = Line>,
+        behind: impl Iterator<Item = Command>,
         axes: &[Axis],
     ) -> Begun {
         let Split {

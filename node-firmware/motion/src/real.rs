@@ -95,6 +95,12 @@ impl Real {
         self.shifted(1)
     }
 
+    /// Returns a third of it.
+    #[must_use]
+    pub fn third(self) -> Self {
+        self * TWO_THIRDS.half()
+    }
+
     /// Returns its square.
     #[must_use]
     pub fn squared(self) -> Self {

@@ -11,7 +11,7 @@
 use crate::{
     axis::Axis,
     limits::{CHANNELS, WORD_TICKS_MIN},
-    path::Path,
+    path::{Path, Span},
     planner::Tail,
     profile::Timing,
     real::Real,
@@ -78,8 +78,13 @@ struct Cursor {
     due: Real,
     /// Its tick, once what comes before it is pushed.
     at: Option<u64>,
-    /// How many steps the last segment had.
+    /// How many steps the next segment may have.
     guess: u64,
+    /// The phase of the path in which the next edge lies, and the last edge in it.
+    span: Option<Span>,
+    span_last: u64,
+    /// Interval at the next edge, and its change from one to the next, ticks.
+    pace: [Real; 2],
 }
 
 /// How a command ends.
@@ -141,7 +146,10 @@ impl Steps {
                 last,
                 due: Real::ZERO,
                 at: None,
-                guess: 1,
+                guess: 2,
+                span: None,
+                span_last: 0,
+                pace: [Real::ZERO; 2],
             };
             cursor.due = path.ticks_at(cursor.place(next));
             if exit == Exit::Rest && ratio == Real::of(1) {
@@ -231,9 +239,8 @@ impl Steps {
                 return self.write_rest(axis, tail);
             }
             let (begin, path) = (self.begin, &self.path);
-            let (step_count, segment) = cursor.segment(path, begin, at);
-            tail.steps(axis, segment, cursor.at.expect("just set"));
-            debug_assert!(step_count > 0);
+            let segment = cursor.segment(path, begin, at);
+            tail.steps(axis, segment, at + segment.ticks());
         }
         true
     }
@@ -275,63 +282,138 @@ impl Cursor {
     }
 
     /// Returns the next segment and goes on behind it. Not for the last edge.
-    fn segment(&mut self, path: &Path, begin: Moment, at: u64) -> (u64, Segment) {
-        let due = |number: u64, cursor: &Self| path.ticks_at(cursor.place(number));
-        let phase_end = path.phase_end_steps(self.place(self.next));
-        let in_phase = (phase_end / self.ratio).rounded().max(0) as u64;
-        let most = (self.last - self.next)
-            .min(in_phase.saturating_sub(self.next))
-            .clamp(1, STEPS_MAX);
-        let mut count = (2 * self.guess).min(most);
+    fn segment(&mut self, path: &Path, begin: Moment, at: u64) -> Segment {
+        if self.next > self.span_last {
+            let end = path.phase_end_steps(self.place(self.next));
+            let last = (end / self.ratio).rounded().max(0) as u64;
+            self.span_last = last.max(self.next);
+            self.span = None;
+        }
         let first = self.due;
-        let mut last = due(self.next + count, self);
-        let (interval, change) = loop {
+        let fit = if self.next == self.span_last {
+            // On into the next phase.
+            let last = path.ticks_at(self.place(self.next + 1));
+            Fit::of_one(first, last)
+        } else {
+            let place = self.place(self.next);
+            if self.span.is_none() {
+                self.span = Some(path.span_at(place));
+            }
+            self.fit(self.span.as_ref().expect("just set"), first)
+        };
+        self.guess = fit.better;
+        let offset = begin.plus(first);
+        let offset = offset.part - Real::of(at - offset.ticks.min(at));
+        let next_at = begin.plus(fit.last).rounded().max(at + 1);
+        let segment = Segment::Steps {
+            step_count: u32::try_from(fit.count).unwrap_or(u32::MAX),
+            offset: offset.shifted(FRACTION_BITS as i32).rounded() as i32,
+            interval: fit.interval.shifted(FRACTION_BITS as i32).rounded().max(0) as u64,
+            change: fit.change.shifted(FRACTION_BITS as i32).rounded(),
+            total_ticks: next_at - at,
+        };
+        self.next += fit.count;
+        self.due = fit.last;
+        self.at = Some(next_at);
+        self.pace = [fit.interval + fit.change * Real::of(fit.count), fit.change];
+        segment
+    }
+
+    /// Returns the longest segment that is surely within a quarter of a tick of the ideal, from the
+    /// next edge on, which is due at `first`.
+    fn fit(&self, span: &Span, first: Real) -> Fit {
+        let most = self.last.min(self.span_last) - self.next;
+        let [pace, change] = self.pace;
+        let due = |number: u64, guess: Real| span.ticks_near(self.place(number), guess);
+        let mut count = self.guess.min(most).min(STEPS_MAX);
+        loop {
+            if count > 1 {
+                // Its half is a step.
+                count &= !1;
+            }
+            let n = Real::of(count);
+            let ahead = first + pace * n + change * n.squared().half();
+            let last = due(self.next + count, ahead);
             if count == 1 {
-                break (last - first, Real::ZERO);
+                return Fit::of_one(first, last);
             }
             let half = count / 2;
-            let middle = due(self.next + half, self);
-            let (n, h) = (Real::of(count), Real::of(half));
-            let mean = (last - first) / n;
-            let early = (middle - first) / h;
-            let mut change = (mean - early).twice() / (n - h);
-            let sum = |count: Real| count * (count - Real::of(1)).half();
+            let middle = due(self.next + half, (first + last).half());
+            let inverse = Real::of(1) / n;
+            let mean = (last - first) * inverse;
+            let early = ((middle - first) * inverse).twice();
+            let mut change = ((mean - early) * inverse).shifted(2);
             if (change * n.squared()).abs().shifted(7).fixed(0) == 0 {
                 // It adds up to less than 1/128 of a tick: constant speed.
                 change = Real::ZERO;
             }
             let interval = mean - change * (n - Real::of(1)).half();
-            let fits = |number: u64| {
+            let error = |number: u64| {
                 if number == 0 || number == half {
-                    return true;
+                    return Real::ZERO;
                 }
                 let x = Real::of(number);
-                let made = first + interval * x + change * sum(x);
-                let ideal = due(self.next + number, self);
-                // A quarter of a tick.
-                (made - ideal).abs().shifted(2).fixed(0) == 0
+                let made = first + (interval + change * (x - Real::of(1)).half()) * x;
+                (made - due(self.next + number, made)).abs()
             };
+            let error = error(count / 4).max(error(3 * count / 4));
+            let better = (count * eighths(error) / 8).min(STEPS_MAX);
             let small = change == Real::ZERO || count <= CHANGING_STEPS_MAX;
-            if small && fits(count / 4) && fits(3 * count / 4) {
-                break (interval, change);
+            if small && error.shifted(2).fixed(0) == 0 {
+                return Fit {
+                    count,
+                    better: better.max(2),
+                    last,
+                    interval,
+                    change,
+                };
             }
-            count = half;
-            last = middle;
-        };
-        let offset = begin.plus(first);
-        let offset = offset.part - Real::of(at - offset.ticks.min(at));
-        let next_at = begin.plus(last).rounded().max(at + 1);
-        let segment = Segment::Steps {
-            step_count: u32::try_from(count).unwrap_or(u32::MAX),
-            offset: offset.shifted(FRACTION_BITS as i32).rounded() as i32,
-            interval: interval.shifted(FRACTION_BITS as i32).rounded().max(0) as u64,
-            change: change.shifted(FRACTION_BITS as i32).rounded(),
-            total_ticks: next_at - at,
-        };
-        self.next += count;
-        self.due = last;
-        self.at = Some(next_at);
-        self.guess = count;
-        (count, segment)
+            count = better.min(count - 2).max(2);
+            if !small {
+                count = count.min(CHANGING_STEPS_MAX);
+            }
+        }
     }
+}
+
+/// A segment between edges that lie where the path says.
+struct Fit {
+    count: u64,
+    /// How many steps the next one may have.
+    better: u64,
+    /// When the edge behind it is due.
+    last: Real,
+    interval: Real,
+    change: Real,
+}
+
+impl Fit {
+    fn of_one(first: Real, last: Real) -> Self {
+        Self {
+            count: 1,
+            better: 2,
+            last,
+            interval: last - first,
+            change: Real::ZERO,
+        }
+    }
+}
+
+/// Returns how much longer a segment could be that is so far off the ideal, in eighths: what
+/// evenly changing intervals leave out grows with the cube of the length.
+fn eighths(error: Real) -> u64 {
+    // 0.22 ticks, 2⁻¹⁰, times 8³.
+    const MOST: u64 = 115_343;
+    const LONGEST: u64 = 32;
+    let error = error.fixed(10).unsigned_abs();
+    let (mut low, mut high) = (1, LONGEST + 1);
+    while low + 1 < high {
+        let middle = (low + high) / 2;
+        if (error + 1).saturating_mul(middle * middle * middle) <= MOST {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
 }
