@@ -251,6 +251,84 @@ fn another_target_and_another_speed_change_a_drive_in_flight() {
 }
 
 #[test]
+fn a_smoothstep_drive_has_every_edge_where_its_curve_says() {
+    for (start_hz, speed_hz, ramp_steps, way) in [
+        // ESP-IDF's example: 4.48357742 s.
+        (500_u32, 1_500_u32, 500_u32, 6_000_i64),
+        (100, 150_000, 8_000, 40_000),
+        (1_000, 30_000, 700, 901),
+        (20, 21, 2, 7),
+    ] {
+        let what = format!("{start_hz} to {speed_hz} Hz over {ramp_steps}, {way} steps");
+        let mut bench = Bench::new(config());
+        let course = Course::smooth(start_hz, speed_hz, ramp_steps);
+        bench
+            .motion()
+            .drive(X, Target::By(way), course)
+            .expect("free");
+        bench.run_until(6_000_000);
+        assert!(!bench.motion().is_driving(), "{what}");
+        let life = pins_are_right(&bench, &what);
+        let steps = steps_of(&life, X);
+        assert_eq!(steps.len() as i64, way, "{what}");
+        // The time of each step's halves by the midpoint rule in 64 parts, from both ends.
+        let (start, gain) = (f64::from(start_hz), f64::from(speed_hz - start_hz));
+        let speed = |place: f64| {
+            let near = place.min(way as f64 - place);
+            let x = ((near - 0.5) / f64::from(ramp_steps - 1)).clamp(0.0, 1.0);
+            start + gain * x * x * (3.0 - 2.0 * x)
+        };
+        let mut due = 0.0;
+        for (index, step) in steps.iter().enumerate().skip(1) {
+            for part in 0..64 {
+                let place = index as f64 - 0.5 + (f64::from(part) + 0.5) / 64.0;
+                due += 1.0 / speed(place) / 64.0;
+            }
+            let error = (step.0 - steps[0].0 - due) * HZ;
+            assert!(
+                error.abs() < 1.5,
+                "{what}: step {index} is {error} ticks late"
+            );
+        }
+        if way == 6_000 {
+            let total = steps[steps.len() - 1].0 - steps[0].0 + 0.002;
+            assert!((total - 4.483_577_42).abs() < 1e-7, "{total} s");
+        }
+    }
+    // It comes to rest by its own curve, from wherever it is.
+    for stop_us in [3_000, 60_000, 130_000, 300_000] {
+        let mut bench = Bench::new(config());
+        let course = Course::smooth(200, 20_000, 900);
+        let forever = Target::Forever(Direction::Negative);
+        bench.motion().drive(X, forever, course).expect("free");
+        bench.run_until(stop_us);
+        bench.motion().end_drive(StopMode::Decelerate);
+        bench.run_until(3_000_000);
+        assert!(!bench.motion().is_driving(), "{stop_us}");
+        let life = pins_are_right(&bench, "");
+        let steps = steps_of(&life, X);
+        let (first, last) = (
+            steps[1].0 - steps[0].0,
+            steps[steps.len() - 1].0 - steps[steps.len() - 2].0,
+        );
+        assert!(
+            (first / last - 1.0).abs() < 0.05,
+            "{stop_us}: from {first} s to {last} s"
+        );
+    }
+    let nothing = [
+        Course::smooth(0, 1_000, 10),
+        Course::smooth(1_000, 1_000, 10),
+        Course::smooth(10, 1_000, 1),
+    ];
+    for course in nothing {
+        let mut bench = Bench::new(config());
+        let refused = bench.motion().drive(X, Target::By(10), course);
+        assert!(refused.is_err(), "{course:?}");
+    }
+}
+
+#[test]
 fn a_change_takes_effect_within_two_milliseconds() {
     for speed_hz in [10_u32, 300, 5_000, 100_000] {
         let mut bench = Bench::new(config());

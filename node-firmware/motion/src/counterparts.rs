@@ -46,6 +46,7 @@
 //! | `setLinearAcceleration(steps)` | [`RampShape::Trapezoid`], `linear_steps` | the same law at both ends, in closed form; also in flight |
 //! | `setJumpStart(step)` | [`RampShape::Trapezoid`], `jump_steps` | the same law |
 //! | nothing | [`RampShape::Jerk`] | S-curves with seven phases, also in flight |
+//! | nothing (ESP-IDF's example `stepper_motor`: a table) | [`Course::smooth`] | no table, no rounding of periods, the end frequency is reached; changed and stopped in flight |
 //!
 //! # Moves
 //!
@@ -123,6 +124,7 @@
 //! [`Course::interval_ticks`]: crate::Course::interval_ticks
 //! [`Course::interval_us`]: crate::Course::interval_us
 //! [`Course::mhz`]: crate::Course::mhz
+//! [`Course::smooth`]: crate::Course::smooth
 //! [`DriveError`]: crate::DriveError
 //! [`DriveError::Busy`]: crate::DriveError::Busy
 //! [`Full`]: crate::Full

@@ -6,10 +6,11 @@
 //! | constant | v = a·t | textbook |
 //! | linear | s ≤ s_h: s = j·t³/6 with j = √(a³ / 6·s_h); then constant | FastAccelStepper |
 //! | jerk | acceleration rises by j to a at most, holds, falls by j to 0 | textbook, 7 phases |
+//! | smooth | from a start speed, v = start + gain · x²·(3 - 2x) over a way | ESP-IDF, `stepper_motor` |
 //!
 //! A jump start is a rise that does not begin at 0.
 
-use crate::{limits::TICK_HZ, real::Real};
+use crate::{limits::TICK_HZ, real::Real, smooth::Curve};
 use keys::command::RampShape;
 
 /// Speed, steps per tick.
@@ -40,7 +41,7 @@ pub fn jerk_from_hz_per_s2(jerk_hz_per_s2: u32) -> Real {
     accel_from_hz_per_s(jerk_hz_per_s2) / Real::of(TICK_HZ)
 }
 
-/// A stretch of time with constant jerk.
+/// A stretch of time with constant jerk, or of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Piece {
     /// How long, ticks.
@@ -51,11 +52,38 @@ pub struct Piece {
     pub accel: Real,
     /// Jerk, steps per tick³.
     pub jerk: Real,
+    /// Speed goes by the way instead: acceleration and jerk are 0.
+    pub bend: Option<Bend>,
+}
+
+/// A part of a curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bend {
+    /// The whole of it.
+    pub curve: Curve,
+    /// Where in it the part begins, steps.
+    pub begin: Real,
+    /// How long the part is, steps.
+    pub way: Real,
 }
 
 impl Piece {
+    /// Constant speed, steps per tick, for this time.
+    pub const fn steady(ticks: Real, speed: Real) -> Self {
+        Self {
+            ticks,
+            speed,
+            accel: Real::ZERO,
+            jerk: Real::ZERO,
+            bend: None,
+        }
+    }
+
     /// Returns the way after this time, steps: v·t + a·t²/2 + j·t³/6.
     pub fn way_at(&self, ticks: Real) -> Real {
+        if let Some(Bend { curve, begin, way }) = &self.bend {
+            return curve.way_in(*begin, *way, ticks);
+        }
         let mut sum = self.accel.half();
         if self.jerk != Real::ZERO {
             sum = sum + (self.jerk * ticks).half().third();
@@ -65,18 +93,35 @@ impl Piece {
 
     /// Returns the speed after this time, steps per tick.
     pub fn speed_at(&self, ticks: Real) -> Real {
+        if let Some(Bend { curve, begin, .. }) = &self.bend {
+            return curve.speed_at(*begin + self.way_at(ticks));
+        }
         self.speed + (self.accel + (self.jerk * ticks).half()) * ticks
+    }
+
+    /// Returns the acceleration after this time, steps per tick².
+    pub fn accel_at(&self, ticks: Real) -> Real {
+        if let Some(Bend { curve, begin, .. }) = &self.bend {
+            return curve.accel_at(*begin + self.way_at(ticks));
+        }
+        self.accel + self.jerk * ticks
     }
 
     /// Returns the whole way, steps.
     pub fn way(&self) -> Real {
-        self.way_at(self.ticks)
+        match &self.bend {
+            Some(bend) => bend.way,
+            None => self.way_at(self.ticks),
+        }
     }
 
     /// Returns when this way is made, ticks from its begin; `way` within the piece.
     pub fn ticks_at(&self, way: Real) -> Real {
         if way.is_none() {
             return Real::ZERO;
+        }
+        if let Some(Bend { curve, begin, .. }) = &self.bend {
+            return curve.ticks_between(*begin, *begin + way);
         }
         if self.jerk == Real::ZERO {
             // Without the difference of two nearly equal numbers that the textbook's form has.
@@ -137,14 +182,8 @@ pub const RISE_PIECES: usize = 3;
 
 impl Rise {
     const fn new() -> Self {
-        let none = Piece {
-            ticks: Real::ZERO,
-            speed: Real::ZERO,
-            accel: Real::ZERO,
-            jerk: Real::ZERO,
-        };
         Self {
-            pieces: [none; RISE_PIECES],
+            pieces: [Piece::steady(Real::ZERO, Real::ZERO); RISE_PIECES],
             count: 0,
         }
     }
@@ -193,6 +232,11 @@ enum Kind {
         /// What speed rises at least when it does, steps per tick.
         full: Real,
     },
+    Smooth {
+        /// At the curve's first speed, half a step.
+        lead: Real,
+        curve: Curve,
+    },
 }
 
 /// How a move gains and loses speed.
@@ -236,6 +280,28 @@ impl Law {
         Self { accel, kind }
     }
 
+    /// Makes the law of ESP-IDF's smoothstep table of so many steps from one speed (steps per tick,
+    /// more than 0) to a higher one: [`Curve`]. A move starts with the first speed and ends with
+    /// it. Faster than the last one it gains speed by the curve's acceleration in its middle.
+    ///
+    /// # Panics
+    /// The speeds or the steps (from 2) are none.
+    pub fn smooth(start: Real, end: Real, steps: u32) -> Self {
+        assert!(
+            !start.is_none() && start < end,
+            "a curve rises from a speed"
+        );
+        assert!(steps >= 2, "a curve has two speeds");
+        let curve = Curve::new(start, end - start, Real::of(u64::from(steps - 1)));
+        Self {
+            accel: curve.accel(),
+            kind: Kind::Smooth {
+                lead: Real::of(1).half(),
+                curve,
+            },
+        }
+    }
+
     /// Returns the same law in units that are `ratio` times as long.
     #[must_use]
     pub fn scaled(&self, ratio: Real) -> Self {
@@ -255,6 +321,10 @@ impl Law {
                 level_jerk: level_jerk * ratio,
                 swing,
                 full: full * ratio,
+            },
+            Kind::Smooth { lead, curve } => Kind::Smooth {
+                lead: lead * ratio,
+                curve: curve.scaled(ratio),
             },
         };
         Self {
@@ -317,6 +387,7 @@ impl Law {
                         speed: low,
                         accel: jerk * begin,
                         jerk,
+                        bend: None,
                     });
                 }
                 if high > speed {
@@ -341,12 +412,14 @@ impl Law {
                     speed: low,
                     accel: Real::ZERO,
                     jerk,
+                    bend: None,
                 };
                 let middle = Piece {
                     ticks: hold,
                     speed: first.speed_at(swing),
                     accel,
                     jerk: Real::ZERO,
+                    bend: None,
                 };
                 rise.push(first);
                 rise.push(middle);
@@ -355,7 +428,34 @@ impl Law {
                     speed: middle.speed_at(hold),
                     accel,
                     jerk: -jerk,
+                    bend: None,
                 });
+            }
+            Kind::Smooth { lead, curve } => {
+                let (start, end) = (curve.start(), curve.end());
+                if low < start && high >= start {
+                    rise.push(Piece::steady(lead / start, start));
+                }
+                let (from, to) = (low.max(start), high.min(end));
+                if from < to {
+                    let begin = curve.place_of(from);
+                    let place = if to == end {
+                        curve.steps()
+                    } else {
+                        curve.place_of(to)
+                    };
+                    rise.push(Piece {
+                        bend: Some(Bend {
+                            curve,
+                            begin,
+                            way: place - begin,
+                        }),
+                        ..Piece::steady(curve.ticks_between(begin, place), from)
+                    });
+                }
+                if high > end {
+                    rise.push(self.steady(low.max(end), high));
+                }
             }
         }
         rise
@@ -367,6 +467,7 @@ impl Law {
             speed: low,
             accel: self.accel,
             jerk: Real::ZERO,
+            bend: None,
         }
     }
 
@@ -374,7 +475,9 @@ impl Law {
     pub fn way(&self, low: Real, high: Real) -> Real {
         match self.kind {
             Kind::Constant => (high.squared() - low.squared()).half() / self.accel,
-            Kind::Linear { .. } => self.way_from_rest(high) - self.way_from_rest(low),
+            Kind::Linear { .. } | Kind::Smooth { .. } => {
+                self.way_from_rest(high) - self.way_from_rest(low)
+            }
             // The acceleration is symmetric about its middle: the mean speed is that of both ends.
             Kind::Jerk {
                 jerk, swing, full, ..
@@ -402,6 +505,12 @@ impl Law {
                 (jerk * ticks.squared() * ticks).half().third()
                     + (speed.squared() - end.squared()).half() / self.accel
             }
+            Kind::Smooth { curve, .. } if speed < curve.start() => Real::ZERO,
+            Kind::Smooth { lead, curve } if speed < curve.end() => lead + curve.place_of(speed),
+            Kind::Smooth { lead, curve } => {
+                let above = speed.squared() - curve.end().squared();
+                lead + curve.steps() + above.half() / self.accel
+            }
             _ => speed.squared().half() / self.accel,
         }
     }
@@ -420,6 +529,14 @@ impl Law {
                 }
             }
             Kind::Jerk { .. } => self.peak(way, Real::ZERO, Real::ZERO, None),
+            Kind::Smooth { lead, curve } => {
+                let above = way - lead - curve.steps();
+                if above.is_none() {
+                    curve.speed_at(way - lead)
+                } else {
+                    (curve.end().squared() + (self.accel * above).twice()).root()
+                }
+            }
         }
     }
 
@@ -432,7 +549,7 @@ impl Law {
                 let square = self.accel * way + (from.squared() + to.squared()).half();
                 most(square.root().max(from).max(to))
             }
-            Kind::Linear { .. } => {
+            Kind::Linear { .. } | Kind::Smooth { .. } => {
                 let sum = way + self.way_from_rest(from) + self.way_from_rest(to);
                 most(self.speed_after(sum.half()).max(from).max(to))
             }
@@ -546,7 +663,7 @@ impl Law {
             Kind::Constant => (to.squared() + (self.accel * way).twice())
                 .root()
                 .min(speed_max),
-            Kind::Linear { .. } => self
+            Kind::Linear { .. } | Kind::Smooth { .. } => self
                 .speed_after(self.way_from_rest(to) + way)
                 .min(speed_max),
         }

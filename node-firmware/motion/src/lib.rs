@@ -15,7 +15,7 @@
 //!
 //! | file | from → to |
 //! |---|---|
-//! | [`law`] | how speed is gained: constant, linear, jerk-limited |
+//! | [`law`], [`smooth`] | how speed is gained: constant, linear, jerk-limited; by the way |
 //! | [`path`] | the fastest motion within a law's limits: place and time, without steps |
 //! | [`lookahead`] | how fast a line may be left, given the lines behind it |
 //! | `steps.rs` | a path to the edges of all axes, put together to segments |
@@ -58,6 +58,7 @@ pub mod profile;
 pub mod real;
 pub mod ring;
 pub mod segment;
+pub mod smooth;
 pub mod symbol;
 
 mod motion;

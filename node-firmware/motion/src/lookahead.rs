@@ -45,6 +45,14 @@ impl Line {
     /// # Panics
     /// No steps, no speed, no acceleration.
     pub fn new(steps: [i64; LINE_AXES], speed_max: Real, accel: u32, shape: RampShape) -> Self {
+        Self::by_law(steps, speed_max, Law::new(accel, shape))
+    }
+
+    /// Makes a line of at least one step that gains speed by this law.
+    ///
+    /// # Panics
+    /// No steps.
+    pub fn by_law(steps: [i64; LINE_AXES], speed_max: Real, law: Law) -> Self {
         let major_steps = steps.map(i64::unsigned_abs).into_iter().max();
         let major_steps = major_steps.expect("there are axes");
         assert!(major_steps > 0, "a line has steps");
@@ -56,7 +64,7 @@ impl Line {
             steps,
             major_steps,
             speed_max,
-            law: Law::new(accel, shape),
+            law,
             stretch: squares.root(),
             joins: true,
         }

@@ -12,7 +12,7 @@
 //! numbers: the last edge before rest is as exact as the first one after it.
 
 use crate::{
-    law::{Law, Piece},
+    law::{Bend, Law, Piece},
     real::Real,
 };
 
@@ -43,12 +43,7 @@ impl Phase {
             anchor_ticks: ticks,
             anchor_steps: place,
             backward: false,
-            piece: Piece {
-                ticks: Real::ZERO,
-                speed: Real::ZERO,
-                accel: Real::ZERO,
-                jerk: Real::ZERO,
-            },
+            piece: Piece::steady(Real::ZERO, Real::ZERO),
         }
     }
 
@@ -68,7 +63,7 @@ impl Phase {
         };
         let way = self.piece.way_at(since);
         let speed = self.piece.speed_at(since).max(Real::ZERO);
-        let accel = self.piece.accel + self.piece.jerk * since;
+        let accel = self.piece.accel_at(since);
         if self.backward {
             State {
                 place: self.anchor_steps - way,
@@ -93,6 +88,8 @@ pub(crate) struct Span {
     square: Real,
     /// 1 / acceleration; 6 / jerk from rest; 1 / speed without either.
     inverse: Real,
+    /// A way from the anchor and its time: a curve is summed up from there.
+    known: [Real; 2],
 }
 
 impl Span {
@@ -118,6 +115,20 @@ impl Span {
             phase: *phase,
             square: speed.squared(),
             inverse,
+            known: [Real::ZERO; 2],
+        }
+    }
+
+    /// Tells when a place was found to be passed, near which the next ones are.
+    pub(crate) fn know(&mut self, place: Real, ticks: Real) {
+        if self.phase.piece.bend.is_some() {
+            let way = place - self.phase.anchor_steps;
+            let since = ticks - self.phase.anchor_ticks;
+            self.known = if self.phase.backward {
+                [-way, -since]
+            } else {
+                [way, since]
+            };
         }
     }
 
@@ -138,6 +149,9 @@ impl Span {
         };
         let ticks = if way.is_none() {
             Real::ZERO
+        } else if let Some(Bend { curve, begin, .. }) = &piece.bend {
+            let [known_way, known_ticks] = self.known;
+            known_ticks + curve.ticks_between(*begin + known_way, *begin + way)
         } else if piece.jerk != Real::ZERO {
             if piece.speed == Real::ZERO && piece.accel == Real::ZERO {
                 (way * self.inverse).cube_root()
@@ -270,12 +284,7 @@ impl Path {
             self.forward(*piece);
         }
         if !coast.is_none() && !peak.is_none() {
-            self.forward(Piece {
-                ticks: coast / peak,
-                speed: peak,
-                accel: Real::ZERO,
-                jerk: Real::ZERO,
-            });
+            self.forward(Piece::steady(coast / peak, peak));
         }
         // From the end: the last piece first.
         let end_ticks = self.ticks() + down.ticks();
@@ -451,6 +460,7 @@ impl Path {
             speed,
             accel,
             jerk: if accel.is_negative() { jerk } else { -jerk },
+            bend: None,
         };
         self.forward(piece);
         piece.speed_at(piece.ticks).max(Real::ZERO)

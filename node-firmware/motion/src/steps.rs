@@ -296,10 +296,11 @@ impl Cursor {
             Fit::of_one(first, last)
         } else {
             let place = self.place(self.next);
-            if self.span.is_none() {
-                self.span = Some(path.span_at(place));
-            }
-            self.fit(self.span.as_ref().expect("just set"), first)
+            let mut span = self.span.take().unwrap_or_else(|| path.span_at(place));
+            span.know(place, first);
+            let fit = self.fit(&span, first);
+            self.span = Some(span);
+            fit
         };
         self.guess = fit.better;
         let offset = begin.plus(first);

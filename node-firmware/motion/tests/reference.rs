@@ -400,3 +400,77 @@ fn a_stop_that_comes_while_an_s_curve_brakes_changes_nothing() {
     }
     assert!(braking > 50);
 }
+
+#[test]
+fn the_smoothstep_takes_the_time_of_its_table_and_has_its_speeds() {
+    // ESP-IDF's example: 500 frequencies from 500 to 1500 Hz, 5000 steps, and back.
+    let (start, end) = (speed_from_hz(500), speed_from_hz(1_500));
+    let law = Law::smooth(start, end, 500);
+    let whole = |steps: u64| {
+        Path::plan(State::REST, Real::of(steps), Real::ZERO, end, &law).expect("a whole move")
+    };
+    let path = whole(6_000);
+    let share = |index: u32| f64::from(index) / 499.0;
+    let frequency =
+        |index: u32| 500.0 + 1_000.0 * share(index).powi(2) * (3.0 - 2.0 * share(index));
+    let table: f64 = (0..500).map(|index| 1.0 / frequency(index)).sum();
+    assert!((table - 0.575_122_04).abs() < 1e-8, "{table}");
+    let rise = double(path.ticks_at(Real::of(500))) / HZ;
+    assert!(
+        (rise - table).abs() < 0.5 / HZ,
+        "{rise} s instead of {table} s"
+    );
+    lasts(&path, 4.483_577_42);
+    for (index, period_us) in [
+        (0, 2_000.0),
+        (1, 1_999.951_9),
+        (100, 1_654.574_3),
+        (249, 1_001.505_3),
+        (250, 998.499_3),
+        (374, 744.498_5),
+        (498, 666.672),
+    ] {
+        let at = path.ticks_at(Real::of(2 * index + 1).half());
+        let found_us =
+            1e6 / HZ / path.state_at(at).speed.shifted(40).rounded() as f64 * 40.0_f64.exp2();
+        assert!(
+            (found_us - period_us).abs() < 1e-4,
+            "step {index}: {found_us} µs"
+        );
+    }
+    // A part of the table and its mirror image; one step at the first frequency.
+    let part: f64 = (0..150).map(|index| 2.0 / frequency(index)).sum();
+    let found = seconds(&whole(300));
+    assert!(
+        (found / part - 1.0).abs() < 1e-5,
+        "{found} s, about {part} s"
+    );
+    lasts(&whole(1), 0.002);
+    lasts(&whole(2), 0.004);
+}
+
+#[test]
+fn a_smoothstep_slows_down_to_rest_from_everywhere() {
+    let law = Law::smooth(speed_from_hz(20), speed_from_hz(50_000), 2_000);
+    let speed_max = speed_from_hz(50_000);
+    let whole = Path::plan(State::REST, Real::of(9_000), Real::ZERO, speed_max, &law);
+    let whole = whole.expect("a whole move");
+    for part in 1..40 {
+        let at = whole.ticks() * Real::of(part) / Real::of(40);
+        let mut path = whole;
+        path.cut(at);
+        let State { place, .. } = whole.state_at(at);
+        path.come_to_rest(&law);
+        let way = double(path.end_steps() - place);
+        let mirrored = double(place.min(Real::of(9_000) - place)).min(1_999.5);
+        assert!((way - mirrored).abs() < 1e-3, "{part}: {way} of {mirrored}");
+        // To the other end of it, slower, and as fast as before.
+        for most in [speed_max, speed_max.half()] {
+            let mut path = whole;
+            path.cut(at);
+            if path.go_on(Real::of(12_000), Real::ZERO, most, &law).is_ok() {
+                assert!((double(path.end_steps()) - 12_000.0).abs() < 1e-6, "{part}");
+            }
+        }
+    }
+}

@@ -37,9 +37,33 @@ pub struct Course {
     speed: Real,
     accel_hz_per_s: u32,
     shape: RampShape,
+    smooth: Option<Smooth>,
+}
+
+/// A rise by the way instead of by an acceleration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Smooth {
+    /// First speed, steps per tick.
+    start: Real,
+    /// Over how many steps.
+    steps: u32,
 }
 
 impl Course {
+    /// Speeds up from `start_hz` to `speed_hz` over `ramp_steps` steps (from 2) by ESP-IDF's
+    /// smoothstep, and slows down likewise: see [`smooth`](crate::smooth). A shorter move takes the
+    /// first half of its way of the rise, and back.
+    pub fn smooth(start_hz: u32, speed_hz: u32, ramp_steps: u32) -> Self {
+        let smooth = Smooth {
+            start: speed_from_hz(start_hz),
+            steps: ramp_steps,
+        };
+        Self {
+            smooth: Some(smooth),
+            ..Self::hz(speed_hz, 0)
+        }
+    }
+
     /// A trapezoid up to `speed_hz` by `accel_hz_per_s` (steps/s²).
     pub fn hz(speed_hz: u32, accel_hz_per_s: u32) -> Self {
         Self::of(speed_from_hz(speed_hz), accel_hz_per_s)
@@ -72,6 +96,7 @@ impl Course {
                 linear_steps: 0,
                 jump_steps: 0,
             },
+            smooth: None,
         }
     }
 
@@ -81,9 +106,20 @@ impl Course {
         Self { shape, ..self }
     }
 
+    fn law(&self) -> Law {
+        match self.smooth {
+            Some(smooth) => Law::smooth(smooth.start, self.speed, smooth.steps),
+            None => Law::new(self.accel_hz_per_s, self.shape),
+        }
+    }
+
     fn check(&self, interval_ticks_min: u64) -> Result<(), CommandError> {
         let no_jerk = matches!(self.shape, RampShape::Jerk { jerk_hz_per_s2: 0 });
-        if self.speed.is_none() || self.accel_hz_per_s == 0 || no_jerk {
+        let no_rise = match self.smooth {
+            Some(Smooth { start, steps }) => start.is_none() || start >= self.speed || steps < 2,
+            None => self.accel_hz_per_s == 0 || no_jerk,
+        };
+        if self.speed.is_none() || no_rise {
             return Err(CommandError::Nothing);
         }
         if self.speed * Real::of(interval_ticks_min) > Real::of(1) {
@@ -260,7 +296,7 @@ impl<B: StepBackend> Motion<'_, B> {
         let how = leg.how;
         let line = Line {
             joins: false,
-            ..Line::new(steps, how.speed, how.accel_hz_per_s, how.shape)
+            ..Line::by_law(steps, how.speed, how.law())
         };
         let jump_steps = match how.shape {
             RampShape::Trapezoid { jump_steps, .. } => jump_steps,
@@ -296,7 +332,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Goes on with another leg. Returns it if it has to turn first.
     fn turn_drive(&mut self, axis: usize, mut split: Split, leg: Leg) -> Option<Leg> {
         let how = leg.how;
-        let law = Law::new(how.accel_hz_per_s, how.shape).after(&split.line.law);
+        let law = how.law().after(&split.line.law);
         let sign = split.line.steps[axis].signum();
         let way = i128::from(leg.to_steps) - i128::from(split.base_steps[axis]);
         let way = (i128::from(sign) * way).clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64;
