@@ -251,6 +251,55 @@ fn another_target_and_another_speed_change_a_drive_in_flight() {
 }
 
 #[test]
+fn lines_that_arrive_while_the_last_one_moves_are_joined_without_loss_of_time() {
+    for jerk_hz_per_s2 in [0, 80_000] {
+        let line = Command::Line {
+            steps: [800, 320, 0, 0],
+            speed_hz: 4_000,
+            accel_hz_per_s: 8_000,
+            jerk_hz_per_s2,
+        };
+        let total_s = |arrives_us: Option<u64>| {
+            let what = format!("jerk {jerk_hz_per_s2}, more at {arrives_us:?} µs");
+            let mut bench = Bench::new(config());
+            if let Some(arrives_us) = arrives_us {
+                bench.order([line]);
+                bench.run_until(arrives_us);
+                bench.order([line; 11]);
+            } else {
+                bench.order([line; 12]);
+            }
+            bench.run_to_rest();
+            assert_eq!(
+                [bench.position(X), bench.position(Y)],
+                [9_600, 3_840],
+                "{what}"
+            );
+            let life = pins_are_right(&bench, &what);
+            keeps_limits(&life, X, 4_000.0, 8_000.0, 0.0, &what);
+            keeps_limits(&life, Y, 1_600.0, 3_200.0, 0.0, &what);
+            let steps = steps_of(&life, X);
+            steps[steps.len() - 1].0 - steps[0].0
+        };
+        let at_once_s = total_s(None);
+        // While its speed rises as it would in any case; then while an S-curve begins to level out;
+        // alone it would rest after 0.63 s or more.
+        for (arrives_us, most_s) in [
+            (20_000, 1e-5),
+            (100_000, 1e-5),
+            (150_000, 1e-5),
+            (280_000, 0.03),
+        ] {
+            let later_s = total_s(Some(arrives_us));
+            assert!(
+                (-1e-5..most_s).contains(&(later_s - at_once_s)),
+                "jerk {jerk_hz_per_s2}, more at {arrives_us} µs: {later_s} s, at once {at_once_s} s"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_smoothstep_drive_has_every_edge_where_its_curve_says() {
     for (start_hz, speed_hz, ramp_steps, way) in [
         // ESP-IDF's example: 4.48357742 s.

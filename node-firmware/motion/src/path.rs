@@ -241,6 +241,9 @@ impl Path {
         speed_max: Real,
         law: &Law,
     ) -> Result<(), TooShort> {
+        if self.brakes_for(to_place, to_speed, law) {
+            return Ok(());
+        }
         self.go_on_below(to_place, to_speed, speed_max, law)
             .or_else(|TooShort| {
                 // An S-curve needs more way to slow down in two parts, to the new speed and then to
@@ -249,6 +252,7 @@ impl Path {
                 self.go_on_below(to_place, to_speed, speed_max.max(speed), law)
             })
             .or_else(|TooShort| self.go_on_below(to_place, to_speed, self.level_speed(law), law))
+            .or_else(|TooShort| self.brake_on(to_place, to_speed, law))
     }
 
     fn go_on_below(
@@ -259,13 +263,19 @@ impl Path {
         law: &Law,
     ) -> Result<(), TooShort> {
         let before = self.count;
-        let mut speed = self.level_out(law);
-        if speed > speed_max {
-            self.fall(speed, speed_max, law);
-            speed = speed_max;
+        let to_speed = to_speed.min(speed_max);
+        if self.rise_on(to_place, to_speed, speed_max, law) {
+            return Ok(());
+        }
+        let mut speed = speed_max;
+        if !self.fall_on(speed_max, law) {
+            speed = self.level_out(law);
+            if speed > speed_max {
+                self.fall(speed, speed_max, law);
+                speed = speed_max;
+            }
         }
         let way = to_place - self.end_steps();
-        let to_speed = to_speed.min(speed_max);
         let least = if speed > to_speed {
             law.way(to_speed, speed)
         } else {
@@ -277,38 +287,185 @@ impl Path {
             return Err(TooShort);
         }
         let peak = law.peak(way, speed, to_speed, Some(speed_max));
-        let up = law.rise(speed, peak);
-        let down = law.rise(to_speed, peak);
-        let coast = way - up.way() - down.way();
-        for piece in up.pieces() {
+        for piece in law.rise(speed, peak).pieces() {
             self.forward(*piece);
         }
+        self.end_from(peak, to_place, to_speed, law);
+        Ok(())
+    }
+
+    /// Goes on at this speed, and slows down to `to_speed` where it has to.
+    fn end_from(&mut self, peak: Real, to_place: Real, to_speed: Real, law: &Law) {
+        let down = law.rise(to_speed, peak);
+        let coast = to_place - self.end_steps() - down.way();
         if !coast.is_none() && !peak.is_none() {
             self.forward(Piece::steady(coast / peak, peak));
         }
         // From the end: the last piece first.
         let end_ticks = self.ticks() + down.ticks();
         self.backward(down.pieces(), end_ticks, to_place);
+    }
+
+    /// Returns the highest speed that is reached within `way` from this state, at most `speed_max`.
+    pub(crate) fn speed_reached(from: State, way: Real, speed_max: Real, law: &Law) -> Real {
+        let State { speed, .. } = from;
+        let mut path = Self::at(from);
+        let reached = match path.under_way(law) {
+            None => None,
+            Some(Change {
+                jerk,
+                since,
+                gain,
+                is_rise: true,
+            }) => {
+                // As if the rise had begun a while ago; its acceleration has to end within the way.
+                let begun = (speed - gain).max(Real::ZERO);
+                let made = (begun + (jerk * since.squared()).half().third()) * since;
+                let reached = law.speed_before(way + made, begun, speed_max);
+                (reached >= speed + gain).then_some(reached)
+            }
+            Some(_) => {
+                let level = path.level_out(law);
+                let left = way - (path.end_steps() - from.place);
+                (!left.is_none()).then(|| law.speed_before(left, level, speed_max))
+            }
+        };
+        reached.unwrap_or_else(|| law.speed_before(way, speed, speed_max))
+    }
+
+    /// An S-curve that speeds up goes on with that, as if the rise had begun a while ago: returns
+    /// whether it reaches a higher speed so than the one at which its acceleration could end.
+    fn rise_on(&mut self, to_place: Real, to_speed: Real, speed_max: Real, law: &Law) -> bool {
+        let Some(Change {
+            jerk,
+            since,
+            gain,
+            is_rise: true,
+        }) = self.under_way(law)
+        else {
+            return false;
+        };
+        let State {
+            place,
+            speed,
+            accel,
+        } = self.end_state();
+        let (begun, level) = ((speed - gain).max(Real::ZERO), speed + gain);
+        if speed + gain.shifted(-SLACK_BITS) < gain || level >= speed_max {
+            return false;
+        }
+        let made = (begun + (jerk * since.squared()).half().third()) * since;
+        let way = to_place - place + made;
+        let least = law.way(begun.min(to_speed), begun.max(to_speed));
+        if least > way {
+            return false;
+        }
+        let peak = law.peak(way, begun, to_speed, Some(speed_max));
+        if peak <= level {
+            return false;
+        }
+        for (index, piece) in law.rise(begun, peak).pieces().iter().enumerate() {
+            if index == 0 {
+                self.forward(Piece {
+                    ticks: piece.ticks - since,
+                    speed,
+                    accel,
+                    ..*piece
+                });
+            } else {
+                self.forward(*piece);
+            }
+        }
+        self.end_from(peak, to_place, to_speed, law);
+        true
+    }
+
+    /// An S-curve that slows down goes on with that down to `low`, as if the fall had begun a while
+    /// ago: returns whether it can.
+    fn fall_on(&mut self, low: Real, law: &Law) -> bool {
+        let Some(Change {
+            jerk,
+            since,
+            gain,
+            is_rise: false,
+        }) = self.under_way(law)
+        else {
+            return false;
+        };
+        let State { place, speed, .. } = self.end_state();
+        if speed + gain.shifted(-SLACK_BITS) < gain + low {
+            return false;
+        }
+        let begun = speed + gain;
+        let made = (begun - (jerk * since.squared()).half().third()) * since;
+        let down = law.rise(low, begun);
+        let end_ticks = self.ticks() - since + down.ticks();
+        self.backward(down.pieces(), end_ticks, place - made + down.way());
+        true
+    }
+
+    /// An S-curve that brakes for just this place goes on with that; returns whether it does. What
+    /// rounding leaves of the way would take long at no speed.
+    fn brakes_for(&mut self, to_place: Real, to_speed: Real, law: &Law) -> bool {
+        let before = self.count;
+        let slack = Real::of(1).shifted(-SLACK_BITS) + to_place.abs().shifted(-PLACE_BITS);
+        if self.fall_on(to_speed, law) && (self.end_steps() - to_place).abs() <= slack {
+            return true;
+        }
+        self.count = before;
+        false
+    }
+
+    /// Slows down on, first to a speed with which the rest of the way can be made: there is too
+    /// little of it to end the braking first.
+    fn brake_on(&mut self, to_place: Real, to_speed: Real, law: &Law) -> Result<(), TooShort> {
+        let before = *self;
+        let speed = self.end_state().speed;
+        let slack = Real::of(1).shifted(-SLACK_BITS);
+        let mut reach = |low: Real| {
+            *self = before;
+            let ends = self.fall_on(low, law);
+            ends.then(|| self.end_steps() + law.way(to_speed, low))
+        };
+        let mut low = to_speed;
+        if reach(low).is_none_or(|place| place > to_place + slack) {
+            *self = before;
+            return Err(TooShort);
+        }
+        let mut high = speed;
+        for _ in 0..BRAKE_STEPS_MAX {
+            let middle = (low + high).half();
+            if reach(middle).is_some_and(|place| place <= to_place) {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        reach(low);
+        self.end_from(low, to_place, to_speed, law);
         Ok(())
+    }
+
+    /// Returns the change of an S-curve's speed that is under way, if the law could have begun it.
+    fn under_way(&self, law: &Law) -> Option<Change> {
+        let jerk = law.jerk()?;
+        let accel = self.end_state().accel;
+        let slack = law.accel().shifted(-SLACK_BITS);
+        if accel.abs() <= slack || accel.abs() > law.accel() + slack {
+            return None;
+        }
+        let since = accel.abs() / jerk;
+        Some(Change {
+            jerk,
+            since,
+            gain: (since * accel.abs()).half(),
+            is_rise: !accel.is_negative(),
+        })
     }
 
     /// Slows down to rest as fast as the law allows, wherever that is.
     pub fn come_to_rest(&mut self, law: &Law) {
-        let State { speed, accel, .. } = self.end_state();
-        let slack = law.accel().shifted(-SLACK_BITS);
-        if let Some(jerk) = law.jerk()
-            && accel < -slack
-            && -accel <= law.accel() + slack
-            && (speed * jerk).twice() >= accel.squared()
-        {
-            // It brakes already, as if it had begun to a while ago.
-            let since = -accel / jerk;
-            let begun = speed + (since * accel.abs()).half();
-            let made = (begun - (jerk * since.squared()) / Real::of(6)) * since;
-            let down = law.rise(Real::ZERO, begun);
-            let end_ticks = self.ticks() - since + down.ticks();
-            let end_steps = self.end_steps() - made + down.way();
-            self.backward(down.pieces(), end_ticks, end_steps);
+        if self.fall_on(Real::ZERO, law) {
             return;
         }
         let speed = self.level_out(law);
@@ -480,6 +637,22 @@ impl Path {
         self.backward(down.pieces(), end_ticks, end_steps);
     }
 }
+
+/// A change of an S-curve's speed that is under way.
+struct Change {
+    jerk: Real,
+    /// How long ago it would have begun, ticks.
+    since: Real,
+    /// By how much speed has changed since, and will until the acceleration has ended.
+    gain: Real,
+    is_rise: bool,
+}
+
+/// Steps of the bisection for a braking that goes on.
+const BRAKE_STEPS_MAX: usize = 40;
+
+/// Places are right to less than 2⁻⁵⁰ of them.
+const PLACE_BITS: i32 = 50;
 
 /// Differences below 2⁻³⁰ of a way are rounding.
 const SLACK_BITS: i32 = 30;

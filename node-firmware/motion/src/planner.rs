@@ -320,15 +320,11 @@ impl Planner {
     }
 
     /// Returns whether the last that is planned, up to `timeline`, is a line that ends at rest
-    /// although it could be left at speed if another one followed. Not so an S-curve: to change it
-    /// while it accelerates would cost time.
+    /// although it could be left at speed if another one followed.
     pub(crate) fn ends_early(&self, timeline: u64) -> bool {
         let last = self.stretches[..self.count].last().copied().flatten();
         last.is_some_and(|stretch| {
-            stretch.line.joins
-                && stretch.line.law.jerk().is_none()
-                && stretch.exit == Exit::Rest
-                && stretch.end_ticks == timeline
+            stretch.line.joins && stretch.exit == Exit::Rest && stretch.end_ticks == timeline
         })
     }
 
@@ -479,7 +475,7 @@ impl Planner {
             };
             let way = Real::of(line.major_steps) - from.place;
             // No faster than can be reached within the line.
-            let reached = line.law.speed_before(way, from.speed, line.speed_max);
+            let reached = Path::speed_reached(from, way, line.speed_max, &line.law);
             let exit_speed = self.ahead.exit_speed(&line, behind, within, timing);
             Goal::Leave(exit_speed.min(reached))
         };

@@ -474,3 +474,134 @@ fn a_smoothstep_slows_down_to_rest_from_everywhere() {
         }
     }
 }
+
+#[test]
+fn to_go_on_as_before_changes_nothing_wherever_an_s_curve_is() {
+    // Both with and without a time of constant acceleration and of constant speed.
+    for (steps, speed_hz, accel, jerk_hz_per_s2) in [
+        (32_000, 4_000, 8_000, 80_000),
+        (1_200, 4_000, 8_000, 80_000),
+        (2_000, 10_000, 40_000, 100_000),
+        (900, 3_000, 200_000, 50_000),
+    ] {
+        let law = Law::new(accel, jerk(jerk_hz_per_s2));
+        let speed_max = speed_from_hz(speed_hz);
+        let place = Real::of(steps);
+        let whole = Path::plan(State::REST, place, Real::ZERO, speed_max, &law);
+        let whole = whole.expect("a whole move");
+        for part in 1..200 {
+            let at = whole.ticks() * Real::of(part) / Real::of(200);
+            let rest = Path::plan(whole.state_at(at), place, Real::ZERO, speed_max, &law);
+            let rest = rest.expect("the way suffices");
+            let (found, expected) = (double(at) / HZ + seconds(&rest), seconds(&whole));
+            let off_ticks = (found - expected) * HZ;
+            assert!(
+                off_ticks.abs() < 0.5,
+                "{steps} steps, part {part}: {off_ticks} ticks of {expected} s"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_higher_speed_while_an_s_curve_speeds_up_costs_no_time() {
+    let law = Law::new(8_000, jerk(80_000));
+    let whole = |speed_hz: u32| {
+        let speed_max = speed_from_hz(speed_hz);
+        Path::plan(State::REST, Real::of(32_000), Real::ZERO, speed_max, &law).expect("a move")
+    };
+    let (slow, fast) = (whole(4_000), whole(7_000));
+    // Its acceleration ends from 0.5 s to 0.6 s: until then both are the same.
+    for part in 1..50 {
+        let mut path = slow;
+        path.cut(Real::of(TICK_HZ / 100 * part));
+        let target = Real::of(32_000);
+        path.go_on(target, Real::ZERO, speed_from_hz(7_000), &law)
+            .expect("way enough");
+        let (found, expected) = (seconds(&path), seconds(&fast));
+        assert!(
+            (found - expected).abs() < 1e-6,
+            "{part}: {found} s of {expected} s"
+        );
+    }
+    // Later it is between both, and nowhere is a limit exceeded.
+    let mut path = slow;
+    path.cut(Real::of(TICK_HZ * 55 / 100));
+    let target = Real::of(32_000);
+    path.go_on(target, Real::ZERO, speed_from_hz(7_000), &law)
+        .expect("way enough");
+    assert!(seconds(&path) > seconds(&fast) && seconds(&path) < seconds(&fast) + 0.02);
+}
+
+#[test]
+fn an_s_curve_changed_in_flight_keeps_its_limits_and_ends_where_it_should() {
+    let mut state = 77_u64;
+    let mut next = |below: u64| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state % below
+    };
+    let mut short = 0;
+    for case in 0..4_000 {
+        let mut of_size = |least: u64, bits: u64| {
+            let size = least + next(bits - least);
+            1 + next(1 << size)
+        };
+        let (steps, more) = (of_size(4, 18), of_size(1, 18));
+        let (speed_hz, other_hz) = (of_size(3, 18) as u32, of_size(3, 18) as u32);
+        let (accel, jerk_hz) = (of_size(6, 22) as u32, of_size(8, 26) as u32);
+        let law = Law::new(accel, jerk(jerk_hz));
+        let before = ideal(steps, speed_hz, accel, jerk(jerk_hz));
+        let begin = before.state_at(before.ticks() * Real::of(next(1_000)) / Real::of(1_000));
+        // To a place from where it is on, as near as that may be.
+        let target = begin.place + Real::of(more);
+        let what =
+            format!("case {case}: {steps} {speed_hz} {other_hz} {accel} {jerk_hz} {begin:?}");
+        let speed_max = speed_from_hz(other_hz);
+        let Ok(path) = Path::plan(begin, target, Real::ZERO, speed_max, &law) else {
+            let mut rest = Path::at(begin);
+            rest.come_to_rest(&law);
+            assert!(
+                rest.end_steps() + Real::of(1).shifted(-10) > target,
+                "{what}: refused"
+            );
+            short += 1;
+            continue;
+        };
+        let level = double(begin.speed.shifted(30)) + {
+            let accel = double(begin.accel.abs().shifted(60));
+            let jerk_shifted = double(law.jerk().expect("an S-curve").shifted(90));
+            accel * accel / 2.0 / jerk_shifted
+        };
+        let speed_max = double(speed_max.shifted(30)).max(level) * 1.001 + 1e-6;
+        let (accel_max, jerk_max) = (law.accel(), law.jerk().expect("an S-curve"));
+        let parts = 300_u64;
+        let mut last = begin;
+        for part in 1..=parts {
+            let at = path.ticks() * Real::of(part) / Real::of(parts);
+            let dt = path.ticks() / Real::of(parts);
+            let found = path.state_at(at);
+            assert!(
+                found.place + Real::of(1).shifted(-20) >= last.place,
+                "{what}: back"
+            );
+            let speed = double(found.speed.shifted(30));
+            assert!(speed <= speed_max, "{what}: speed {speed} > {speed_max}");
+            let slack = accel_max.shifted(-9);
+            assert!(found.accel.abs() <= accel_max + slack, "{what}: {found:?}");
+            if part < parts {
+                let change = (found.accel - last.accel).abs();
+                let most = jerk_max * dt;
+                assert!(
+                    change <= most + most.shifted(-9) + slack,
+                    "{what}: jerk at {part}"
+                );
+            }
+            last = found;
+        }
+        let off = (path.end_steps() - target).abs();
+        assert!(off.shifted(20).fixed(0) == 0, "{what}: it ends elsewhere");
+    }
+    assert!(short < 3_000, "{short}");
+}
