@@ -91,7 +91,13 @@ extern "C" fn main() -> ! {
     for (index, case) in cases::CASES.iter().enumerate() {
         for size in case.sizes {
             let before = all_instructions();
-            let run = sink::execute(&MEMORY, case.axis_count, case.commands(size), instructions);
+            let run = sink::execute(
+                &MEMORY,
+                case.axis_count,
+                case.commands(size),
+                case.stops,
+                instructions,
+            );
             let all = all_instructions() - before;
             let _ = writeln!(
                 Serial,

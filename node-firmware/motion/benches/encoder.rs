@@ -11,7 +11,7 @@ use motion::limits::REFILL_WORDS;
 use std::sync::atomic::AtomicU32;
 
 fn run(memory: &[AtomicU32], commands: &[Command]) -> u64 {
-    let run = sink::execute(memory, 1, commands.iter().copied(), || 0);
+    let run = sink::execute(memory, 1, commands.iter().copied(), false, || 0);
     u64::from(run.refills)
 }
 

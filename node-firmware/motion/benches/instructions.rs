@@ -248,7 +248,13 @@ fn main() {
         let memory: Vec<_> = (0..4_096 * COMMAND_WORDS)
             .map(|_| AtomicU32::new(0))
             .collect();
-        let run = sink::execute(&memory, case.axis_count, case.commands(size), || 0);
+        let run = sink::execute(
+            &memory,
+            case.axis_count,
+            case.commands(size),
+            case.stops,
+            || 0,
+        );
         println!("{}", run.refills);
     } else if arguments.iter().any(|argument| argument == "--bench") {
         report_here();

@@ -23,7 +23,7 @@
 //! what is planned. Ahead stays a third of it, whatever the others do.
 //!
 //! **Controlled stop.** v² falls by 2a with each step (constant deceleration), the interval between
-//! two steps is 2 / (v₀ + v₁): exact for constant deceleration, and one integer root a step. It goes
+//! two steps is 2 / (v₀ + v₁): exact for constant deceleration, one integer root a step. It goes
 //! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
 
 mod run;
@@ -292,7 +292,9 @@ impl Encoder {
             } else if self.low_ticks > 0 {
                 self.rest(segments, &mut out);
             } else if let Some(speed_mhz) = self.stopping_mhz {
-                self.slower_step(speed_mhz, &mut out);
+                if !self.slower_run(speed_mhz, &mut out) {
+                    self.slower_step(speed_mhz, &mut out);
+                }
             } else if self.steps_left > 0 {
                 if !self.run(&mut out) {
                     self.step(segments, &mut out);
@@ -506,9 +508,13 @@ impl Encoder {
 
     /// Returns the speed after one more step of a controlled stop; `None`: it can rest at once.
     fn slower_mhz(&self, speed_mhz: u64) -> Option<u64> {
-        // v² in mHz², 2a in the same unit: 10⁶ · 2a.
-        let lost = 2_000_000 * u64::from(self.timing.stop_accel_hz_per_s);
-        Some((speed_mhz * speed_mhz).checked_sub(lost)?.isqrt())
+        let square = speed_mhz * speed_mhz;
+        Some(square.checked_sub(self.lost_speed())?.isqrt())
+    }
+
+    /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
+    fn lost_speed(&self) -> u64 {
+        2_000_000 * u64::from(self.timing.stop_accel_hz_per_s)
     }
 
     /// Writes a step of a controlled stop, or the end.

@@ -19,6 +19,8 @@ pub(crate) struct Case {
     pub(crate) command: fn(u32, u32) -> Command,
     /// How many of `unit` a length has.
     pub(crate) units: fn(u32) -> u32,
+    /// It is stopped as soon as it moves, by the axis' deceleration.
+    pub(crate) stops: bool,
     /// What the cost is told for.
     pub(crate) unit: &'static str,
 }
@@ -109,7 +111,7 @@ fn four(index: u32, jerk_hz_per_s2: u32) -> Command {
 }
 
 /// All that is counted.
-pub(crate) const CASES: [Case; 13] = [
+pub(crate) const CASES: [Case; 14] = [
     Case {
         name: "move at 200 kHz",
         axis_count: 1,
@@ -117,6 +119,17 @@ pub(crate) const CASES: [Case; 13] = [
         count: |_| 1,
         command: |size, _| run(5, size),
         units: |size| size,
+        stops: false,
+        unit: "step",
+    },
+    Case {
+        name: "stop of a move at 200 kHz",
+        axis_count: 1,
+        sizes: [5_000, 25_000],
+        count: |_| 1,
+        command: |size, _| run(5, size),
+        units: |size| size,
+        stops: true,
         unit: "step",
     },
     Case {
@@ -126,6 +139,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |_| 1,
         command: |size, _| run(1_000, size),
         units: |size| size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -135,6 +149,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |_| 1,
         command: |size, _| Command::Pause { pause_ms: size },
         units: |size| size,
+        stops: false,
         unit: "ms",
     },
     Case {
@@ -144,6 +159,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, _| run(10, 1),
         units: |size| size,
+        stops: false,
         unit: "command",
     },
     Case {
@@ -153,6 +169,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, _| ramp(20),
         units: |size| 20 * size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -162,6 +179,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, _| ramp(1),
         units: |size| size,
+        stops: false,
         unit: "command",
     },
     Case {
@@ -171,6 +189,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, _| ramp(20_000),
         units: |size| 20_000 * size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -180,6 +199,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |_| 1,
         command: |size, _| ramp(size),
         units: |size| size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -189,6 +209,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |_| 1,
         command: |size, _| ramp(size),
         units: |size| size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -198,6 +219,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, index| curve(index, 0),
         units: |size| size,
+        stops: false,
         unit: "line",
     },
     Case {
@@ -207,6 +229,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| size,
         command: |_, index| curve(index, 20_000_000),
         units: |size| size,
+        stops: false,
         unit: "line",
     },
     Case {
@@ -216,6 +239,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| 2 * size,
         command: |_, index| four(index, 0),
         units: |size| 74_000 * size,
+        stops: false,
         unit: "step",
     },
     Case {
@@ -225,6 +249,7 @@ pub(crate) const CASES: [Case; 13] = [
         count: |size| 2 * size,
         command: |_, index| four(index, 100_000_000),
         units: |size| 74_000 * size,
+        stops: false,
         unit: "step",
     },
 ];

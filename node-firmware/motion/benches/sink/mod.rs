@@ -3,9 +3,10 @@
 //! system.
 
 use core::{array, hint::black_box, sync::atomic::AtomicU32};
-use keys::{AxisId, Command, status::FaultCode};
+use keys::{AxisId, Command, StopMode, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, CommandRing, Fill, Motion, MotionConfig, StepBackend, Ticks, limits,
+    Axis, AxisProfile, CommandRing, Fill, Motion, MotionConfig, MotionEvent, StepBackend, Ticks,
+    limits,
 };
 
 /// Consumes half blocks at once.
@@ -15,6 +16,8 @@ struct Sink {
     count: fn() -> u32,
     run: Run,
     playing: bool,
+    /// It consumes one half block a call, so that a stop comes before the end.
+    is_slow: bool,
 }
 
 /// What a run took.
@@ -70,6 +73,9 @@ impl StepBackend for Sink {
                 self.run.own_instructions += u64::from(own);
             }
             self.half ^= 1;
+            if self.is_slow {
+                break;
+            }
             if self.axes.iter().any(Axis::wants_planning) {
                 return Ticks(until.0 - 1);
             }
@@ -95,12 +101,13 @@ impl StepBackend for Sink {
     }
 }
 
-/// Executes commands to their end; `count` tells how many instructions were executed so far.
+/// Executes commands to their end, or stops the first one at once; `count` tells how many instructions were executed so far.
 #[inline(never)]
 pub(crate) fn execute(
     memory: &[AtomicU32],
     axis_count: usize,
     commands: impl ExactSizeIterator<Item = Command>,
+    stops: bool,
     count: fn() -> u32,
 ) -> Run {
     let sink = Sink {
@@ -109,6 +116,7 @@ pub(crate) fn execute(
         count,
         run: Run::default(),
         playing: false,
+        is_slow: stops,
     };
     let config = MotionConfig {
         axis_count,
@@ -122,6 +130,14 @@ pub(crate) fn execute(
     }
     reservation.commit();
     let mut now = Ticks(1);
+    if stops {
+        black_box(motion.poll(now));
+        motion.stop(StopMode::Decelerate, now);
+        while !matches!(motion.poll(now), Some(MotionEvent::Stopped)) {
+            now = now.plus(1_000_000_000_000);
+        }
+        return motion.backend().run;
+    }
     while motion.executed_commands() < accepted as u64 {
         black_box(motion.poll(now));
         now = now.plus(1_000_000_000_000);

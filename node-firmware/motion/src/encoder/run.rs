@@ -4,7 +4,7 @@
 //! addition and its carry; what holds for the whole run is decided once before it.
 
 use super::{Encoder, Out};
-use crate::{segment::FRACTION_BITS, symbol::Symbol};
+use crate::{limits::TICK_HZ, segment::FRACTION_BITS, symbol::Symbol};
 
 impl Encoder {
     /// Writes steps of the present segment but for its last one, as many as there is room for:
@@ -65,6 +65,80 @@ impl Encoder {
         out.count += count;
         true
     }
+}
+
+impl Encoder {
+    /// Writes steps of a controlled stop, as many as there is room for: those that need one word
+    /// each and lose little speed. Returns whether there were any.
+    pub(super) fn slower_run(&mut self, speed_mhz: u64, out: &mut Out) -> bool {
+        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min) as u32;
+        let most_ticks = in_word + self.timing.high_ticks_min as u32;
+        let lost = self.lost_speed();
+        let before = out.count;
+        let Ok(mut speed) = u32::try_from(speed_mhz) else {
+            return false;
+        };
+        let mut last = Symbol::END;
+        while out.left() > 0 && self.stopping_steps_max > 0 {
+            let square = u64::from(speed) * u64::from(speed);
+            if lost > square >> SLOWER_BITS {
+                break;
+            }
+            let (slower, interval) = slower(speed, lost);
+            if interval > most_ticks {
+                break;
+            }
+            let high = self.timing.high_of(u64::from(interval));
+            last = Symbol::step(high, u64::from(interval) - high);
+            out.push_step(last);
+            self.stopping_steps_max -= 1;
+            speed = slower;
+        }
+        if out.count == before {
+            return false;
+        }
+        self.stopping_mhz = Some(u64::from(speed));
+        self.low_ticks_since_step = last.second().0;
+        self.resting = false;
+        true
+    }
+}
+
+/// A step is quick to compute while it loses less than 2⁻¹⁰ of the speed's square.
+const SLOWER_BITS: u32 = 10;
+
+/// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
+/// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
+/// mHz.
+fn slower(speed: u32, lost: u64) -> (u32, u32) {
+    const TWICE: u64 = 2_000 * TICK_HZ;
+    let shift = speed.leading_zeros();
+    let divisor = u64::from(speed << shift);
+    let short = u64::from(u32::MAX / (divisor >> 16) as u32);
+    let error = (1 << 48) - (divisor * short) as i64;
+    // ≤ 2⁶³ / divisor, by less than 2⁻²⁸ of it.
+    let inverse = ((short << 15) as i64 + ((error * short as i64) >> 33)) as u64;
+    let inverse = inverse.min(u64::from(u32::MAX));
+    // √(v² - l) = v - l/2v - (l/2v)²/2v …
+    let over_twice = |value: u64| (((value << shift) >> 32) * inverse) >> 32;
+    let first = over_twice(lost);
+    let mut slower = u64::from(speed) - first - over_twice(first * first);
+    let square = u64::from(speed) * u64::from(speed) - lost;
+    while slower * slower > square {
+        slower -= 1;
+    }
+    while (slower + 1) * (slower + 1) <= square {
+        slower += 1;
+    }
+    let sum = u64::from(speed) + slower;
+    let mut interval = (((TWICE << shift) >> 16) * inverse) >> 48;
+    while (interval + 1) * sum <= TWICE {
+        interval += 1;
+    }
+    while interval * sum > TWICE {
+        interval -= 1;
+    }
+    (slower as u32, interval as u32)
 }
 
 /// What a run of words took.
@@ -145,6 +219,32 @@ mod tests {
             }
         }
         edges
+    }
+
+    #[test]
+    fn a_controlled_stop_has_its_speeds_and_intervals_to_the_last_unit() {
+        let mut state = 4_u64;
+        let mut next = |bits: u64| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 20) & ((1 << bits) - 1)
+        };
+        for case in 0..1_000_000 {
+            // From 2 kHz, below which a step has no room in one word.
+            let speed = (next(21 + case % 12) | 1 << 21) as u32;
+            let square = u64::from(speed) * u64::from(speed);
+            let lost = match case % 4 {
+                0 => square >> SLOWER_BITS,
+                1 => 2_000_000 * next(1 + case % 31),
+                _ => next(1 + case % 52),
+            };
+            let lost = lost.min(square >> SLOWER_BITS);
+            let root = (square - lost).isqrt();
+            let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
+            let found = slower(speed, lost);
+            assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
+        }
     }
 
     #[test]
