@@ -636,6 +636,9 @@ impl Law {
                 if speed_max <= to || self.way(to, speed_max) <= way {
                     return speed_max;
                 }
+                if way.is_none() {
+                    return to;
+                }
                 if way >= (to.twice() + full) * swing {
                     // The acceleration reaches its greatest: a square equation.
                     let part = full.half();
@@ -734,6 +737,12 @@ mod tests {
                 law.peak(way, from, to, Some(found.half().max(high))),
                 found.half().max(high)
             );
+            assert_eq!(
+                law.speed_before(Real::ZERO, to, most),
+                to,
+                "no way, no gain"
+            );
+            assert_eq!(law.peak(Real::ZERO, from, from, None), from, "likewise");
             let needs = |speed: Real| law.way(to, speed);
             let found = law.speed_before(way, to, most);
             close(found, bisect(to, most, way, needs), needs(found));

@@ -81,7 +81,7 @@ impl Encoder {
         let mut last = Symbol::END;
         while out.left() > 0 && self.stopping_steps_max > 0 {
             let square = u64::from(speed) * u64::from(speed);
-            if lost > square >> SLOWER_BITS {
+            if speed < SLOWER_MHZ_MIN || lost > square >> SLOWER_BITS {
                 break;
             }
             let (slower, interval) = slower(speed, lost);
@@ -107,9 +107,12 @@ impl Encoder {
 /// A step is quick to compute while it loses less than 2⁻¹⁰ of the speed's square.
 const SLOWER_BITS: u32 = 10;
 
+/// Slower than 2 kHz its numbers need more than 64 bits, and a step more than a word.
+const SLOWER_MHZ_MIN: u32 = 1 << 21;
+
 /// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
 /// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
-/// mHz.
+/// mHz, from [`SLOWER_MHZ_MIN`].
 fn slower(speed: u32, lost: u64) -> (u32, u32) {
     const TWICE: u64 = 2_000 * TICK_HZ;
     let shift = speed.leading_zeros();
@@ -231,8 +234,7 @@ mod tests {
             (state >> 20) & ((1 << bits) - 1)
         };
         for case in 0..1_000_000 {
-            // From 2 kHz, below which a step has no room in one word.
-            let speed = (next(21 + case % 12) | 1 << 21) as u32;
+            let speed = (next(21 + case % 12) as u32) | SLOWER_MHZ_MIN;
             let square = u64::from(speed) * u64::from(speed);
             let lost = match case % 4 {
                 0 => square >> SLOWER_BITS,
@@ -244,6 +246,56 @@ mod tests {
             let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
             let found = slower(speed, lost);
             assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
+        }
+    }
+
+    #[test]
+    fn a_stop_by_any_deceleration_falls_by_the_same_square_with_every_step() {
+        for (stop_accel_hz_per_s, interval_ticks) in [
+            (1, 40),
+            (1, 7_000),
+            (1, 300_000),
+            (50, 600),
+            (3_000, 80),
+            (100_000, 80),
+            (100_000, 640),
+            (40_000_000, 16),
+            (u32::MAX, 80),
+        ] {
+            let profile = AxisProfile {
+                stop_accel_hz_per_s,
+                ..AxisProfile::default()
+            };
+            let mut segments = SegmentRing::new();
+            segments.push(Segment::steady(1_000_000, interval_ticks));
+            let mut encoder = Encoder::new(Timing::from(profile));
+            encoder.lead_in(10_000);
+            encoder.fill(&mut segments, u64::MAX);
+            encoder.decelerate(false, 0);
+            let (mut edges, mut at) = (Vec::new(), 0);
+            while !encoder.has_ended() && edges.len() < 30_000 {
+                for word in encoder.fill(&mut segments, u64::MAX).words {
+                    if word.is_step() {
+                        edges.push(at);
+                    }
+                    at += word.ticks();
+                }
+            }
+            let lost = 2_000_000 * u64::from(stop_accel_hz_per_s);
+            let mut speed = 1_000 * TICK_HZ / interval_ticks;
+            for (steps, pair) in edges.windows(2).enumerate() {
+                let slower = (speed * speed - lost).isqrt();
+                let expected = 2_000 * TICK_HZ / (speed + slower);
+                assert_eq!(
+                    pair[1] - pair[0],
+                    expected,
+                    "a = {stop_accel_hz_per_s}, from {interval_ticks} ticks: step {steps}"
+                );
+                speed = slower;
+            }
+            if encoder.has_ended() && stop_accel_hz_per_s < 1_000_000 {
+                assert!(speed * speed < 2 * lost, "it rests when it may");
+            }
         }
     }
 
