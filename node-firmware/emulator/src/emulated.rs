@@ -6,6 +6,7 @@
 
 use crate::{
     config::{EmulatorConfig, Recording},
+    machine::Machine,
     memory::RingMemory,
     pulse::VirtualRmt,
     record::{Life, TakenCommand},
@@ -14,6 +15,7 @@ use crate::{
 use keys::{
     AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
 };
+use motion::{MotionConfig, StepBackend, TICKS_PER_US, Ticks, io::input::PinLevel};
 use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
 use std::{
     io::{self, Write},
@@ -22,6 +24,13 @@ use std::{
 
 /// Time that the emulated lidar takes for a reading.
 pub const LIDAR_US: u64 = 20_000;
+
+/// Time between two looks at the switches while one could change: how late the node hears of it at
+/// most, as a board's task hears of an interrupt.
+pub const LOOK_US: u64 = 50;
+
+/// Steps that an axis makes at most in one microsecond.
+const STEPS_PER_US: u64 = 5;
 
 /// Past boots that are kept. More: the oldest is forgotten.
 pub const PAST_LIVES_MAX: usize = 64;
@@ -59,12 +68,16 @@ pub struct EmulatedNode {
     node: InnerNode,
     memory: RingMemory,
     config: EmulatorConfig,
+    machine: Machine,
+    /// Up to when the machine was looked at.
+    looked_at: LocalMicros,
     boots: u64,
     lidar_due: Option<LocalMicros>,
     lidar_readings: u64,
     commands: Vec<TakenCommand>,
     stops: Vec<keys::StopReport>,
     edges: Vec<crate::pins::PinEvent>,
+    inputs: Vec<PinLevel>,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -83,11 +96,24 @@ impl std::fmt::Debug for EmulatedNode {
 impl EmulatedNode {
     /// Boots a node: its time begins at 0, its link is down, its positions are 0. `boot` is the
     /// random number that tells boots apart.
+    ///
+    /// # Panics
+    /// [`EmulatorConfig::check`] finds something wrong.
     pub fn new(config: EmulatorConfig, boot: u32) -> Self {
+        if let Err(error) = config.check() {
+            panic!("{error}");
+        }
         let memory = RingMemory::take(config.ring_commands * COMMAND_WORDS);
+        let is_active_low = |input| {
+            let input = config.motion.inputs.get(input);
+            input.is_some_and(|input| input.active_low)
+        };
+        let machine = Machine::new(config.machine.clone(), is_active_low, config.seed);
         Self {
-            node: boot_node(&memory, &config, boot, 0),
+            node: boot_node(&memory, &config, machine.levels(), boot, 0),
             memory,
+            machine,
+            looked_at: LocalMicros(0),
             config,
             boots: 1,
             lidar_due: None,
@@ -95,6 +121,7 @@ impl EmulatedNode {
             commands: Vec::new(),
             stops: Vec::new(),
             edges: Vec::new(),
+            inputs: Vec::new(),
             cut: false,
             past: Vec::new(),
             vcd: None,
@@ -138,6 +165,7 @@ impl EmulatedNode {
 
     /// Takes a message on one of the node's keys.
     pub fn handle(&mut self, topic: NodeTopic, payload: &[u8], now: LocalMicros) {
+        self.look(now);
         let queue = self.node.queue();
         let accepted = self.node.motion().accepted_commands();
         self.inbound(Inbound::Message { topic, payload }, now);
@@ -148,8 +176,29 @@ impl EmulatedNode {
 
     /// Takes anything else that comes in.
     pub fn inbound(&mut self, inbound: Inbound<'_>, now: LocalMicros) {
+        self.look(now);
         self.node.handle(now, inbound);
         self.observe(now);
+    }
+
+    /// Gives an input pin a level by hand: a stop button, a probe.
+    pub fn set_input(&mut self, index: usize, level: bool, now: LocalMicros) {
+        self.look(now);
+        self.poll(now);
+        let counted_steps = std::array::from_fn(|axis| self.step_count(AxisId(axis as u8)));
+        let level = PinLevel {
+            index,
+            level,
+            at: Ticks(now.0 * TICKS_PER_US),
+            counted_steps,
+        };
+        self.record_input(level);
+        self.inbound(Inbound::Input(level), now);
+    }
+
+    /// Returns where the carriage of an axis is, steps of the machine.
+    pub fn place_steps(&self, axis: AxisId) -> i64 {
+        self.machine.place_steps(axis.index())
     }
 
     /// Connects or cuts the link.
@@ -169,12 +218,14 @@ impl EmulatedNode {
 
     /// Lets the node find this fault, as the board would.
     pub fn fault(&mut self, code: keys::status::FaultCode, now: LocalMicros) {
+        self.look(now);
         self.node.fault(code, now);
         self.observe(now);
     }
 
     /// Lets time pass.
     pub fn poll(&mut self, now: LocalMicros) {
+        self.look(now);
         if self.lidar_due.is_some_and(|due| due <= now) {
             self.lidar_due = None;
             self.lidar_readings += 1;
@@ -219,7 +270,10 @@ impl EmulatedNode {
             self.past.remove(0);
         }
         self.past.push(life);
-        self.node = boot_node(&self.memory, &self.config, boot, self.boots);
+        self.machine.reboot();
+        self.looked_at = LocalMicros(0);
+        let levels = self.machine.levels();
+        self.node = boot_node(&self.memory, &self.config, levels, boot, self.boots);
         self.boots += 1;
         self.lidar_due = None;
     }
@@ -263,6 +317,8 @@ impl EmulatedNode {
             commands: self.commands.clone(),
             stops: self.stops.clone(),
             edges: self.edges.clone(),
+            inputs: self.inputs.clone(),
+            homes: self.config.home_facts(),
             cut: self.cut,
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -288,6 +344,8 @@ impl EmulatedNode {
             commands: mem::take(&mut self.commands),
             stops: mem::take(&mut self.stops),
             edges: mem::take(&mut self.edges),
+            inputs: mem::take(&mut self.inputs),
+            homes: self.config.home_facts(),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -330,10 +388,46 @@ impl EmulatedNode {
         }
     }
 
-    /// Notes what the last call did.
+    /// Lets time pass up to `now`, in steps that are short where a switch could change, so that the
+    /// node hears of it in time.
+    fn look(&mut self, now: LocalMicros) {
+        if self.machine.is_empty() {
+            return;
+        }
+        while self.looked_at < now {
+            let at = self.looked_at;
+            let mut next = now;
+            if self.node.motion().backend().is_playing() {
+                let quiet_us = self.machine.quiet_steps() / STEPS_PER_US;
+                next = next.min(at.plus_us(quiet_us.max(LOOK_US)));
+            }
+            if let Some(due) = self.node.poll_timeout() {
+                next = next.min(due.max(at.plus_us(1)));
+            }
+            self.looked_at = next;
+            self.node.poll(next);
+            self.observe(next);
+        }
+    }
+
+    /// Notes what the last call did, and tells the node what its inputs did.
     fn observe(&mut self, now: LocalMicros) {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
+        }
+        loop {
+            let from = self.edges.len();
+            self.take_edges();
+            let until = Ticks(now.0 * TICKS_PER_US);
+            let levels = self.machine.follow(&self.edges[from..], until);
+            self.keep_edges(from);
+            if levels.is_empty() {
+                break;
+            }
+            for level in levels {
+                self.record_input(level);
+                self.node.handle(now, Inbound::Input(level));
+            }
         }
         if self.config.record != Recording::Off
             && let Some(stop) = self.node.last_stop()
@@ -341,14 +435,19 @@ impl EmulatedNode {
         {
             self.stops.push(stop.clone());
         }
-        if self.config.record == Recording::Off && self.vcd.is_none() {
-            return;
-        }
+    }
+
+    /// Takes the changes of pins since the last call, in order of time.
+    fn take_edges(&mut self) {
         let from = self.edges.len();
         self.edges
             .extend(self.node.motion_mut().backend_mut().take_edges());
         // Axes play one after the other within one call.
         self.edges[from..].sort_by_key(|event| event.at_ticks);
+    }
+
+    /// Keeps what is recorded of them.
+    fn keep_edges(&mut self, from: usize) {
         if let Some(vcd) = self.vcd.as_mut() {
             for event in &self.edges[from..] {
                 if let Err(error) = vcd.write(event) {
@@ -358,15 +457,25 @@ impl EmulatedNode {
                 }
             }
         }
-        let edges_max = match self.config.record {
-            Recording::Off => 0,
-            Recording::Edges { max } => max,
-        };
-        if self.cut {
+        let edges_max = self.recorded_max();
+        if self.cut || edges_max == 0 {
             self.edges.truncate(from);
         } else if self.edges.len() > edges_max {
             self.edges.truncate(edges_max);
             self.cut = true;
+        }
+    }
+
+    fn record_input(&mut self, level: PinLevel) {
+        if self.inputs.len() < self.recorded_max() {
+            self.inputs.push(level);
+        }
+    }
+
+    fn recorded_max(&self) -> usize {
+        match self.config.record {
+            Recording::Off => 0,
+            Recording::Edges { max } => max,
         }
     }
 }
@@ -392,15 +501,23 @@ impl node::run::Host for EmulatedNode {
     }
 }
 
-fn boot_node(memory: &RingMemory, config: &EmulatorConfig, boot: u32, boots: u64) -> InnerNode {
+fn boot_node(
+    memory: &RingMemory,
+    config: &EmulatorConfig,
+    input_levels: u32,
+    boot: u32,
+    boots: u64,
+) -> InnerNode {
     let seed = splitmix(config.seed.wrapping_add(boots));
     let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
-    backend.record_edges(config.record != Recording::Off);
-    let mut motion = config.motion.clone();
-    motion.axis_count = config.axis_count;
+    let watched = !config.machine.switches.is_empty();
+    backend.record_edges(config.record != Recording::Off || watched);
     let node_config = NodeConfig {
         keys: config.keys.clone(),
-        motion,
+        motion: MotionConfig {
+            input_levels,
+            ..config.motion_config()
+        },
         link_loss: config.link_loss,
         link_loss_after_us: config.link_loss_after_us,
         ..NodeConfig::new(config.name, boot)

@@ -21,6 +21,7 @@ pub mod record;
 pub mod vcd;
 pub mod wall;
 
+pub mod machine;
 mod memory;
 
 pub use config::{Credentials, EmulatorConfig, Recording};

@@ -3,7 +3,8 @@
 //!
 //! It reads only [`Life`]: commands, stop reports, changes of pins. Its knowledge is the meaning of
 //! the commands (a `move` has its edges at 0, d, 2d, …), the driver's timing, and the textbook: of
-//! [`crate::kinematics`] and v² = v₀² − 2as. It imports neither `motion` nor `node`.
+//! [`crate::kinematics`] and v² = v₀² − 2as. Of `motion` it takes the form of an input's record,
+//! of `node` nothing.
 //!
 //! | it demands | how exactly |
 //! |---|---|
@@ -14,6 +15,7 @@
 //! | axes that start together | within [`Limits::skew_ticks`] |
 //! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
+//! | homing: ways, speeds, and the position of the switch | to the step |
 //! | position = counter = counted edges | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
@@ -27,15 +29,18 @@
 //! | `moves` | raw moves |
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
+//! | `homing` | the way to a reference switch and off it |
 
+mod homing;
 mod moves;
 mod paths;
 mod pins;
 mod queues;
 mod track;
 
-use crate::record::Life;
+use crate::record::{HomeFacts, Life};
 use keys::Command;
+use motion::io::input::PinLevel;
 use std::fmt;
 
 /// Ticks of one second: the unit of [`PinEvent::at_ticks`].
@@ -182,14 +187,8 @@ pub fn check_life(life: &Life) -> Result<Summary, Vec<Violation>> {
 /// # Errors
 /// As [`check_life`].
 pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
-    let mut judge = Judge {
-        limits: &Limits::default(),
-        axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
-        summary: Summary::default(),
-        violations: Vec::new(),
-        more: 0,
-        lost: false,
-    };
+    let limits = Limits::default();
+    let mut judge = Judge::new(life, &limits);
     judge.read_pins(&life.edges);
     if judge.violations.is_empty() {
         Ok(())
@@ -203,14 +202,7 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
 /// # Errors
 /// As [`check_life`].
 pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violation>> {
-    let mut judge = Judge {
-        limits,
-        axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
-        summary: Summary::default(),
-        violations: Vec::new(),
-        more: 0,
-        lost: false,
-    };
+    let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
     judge.read_queues(life);
     judge.summary.steps = judge
@@ -279,9 +271,27 @@ struct Judge<'l> {
     more: u64,
     /// A path had a fault: which step belongs to which later command cannot be told.
     lost: bool,
+    inputs: &'l [PinLevel],
+    homes: &'l [HomeFacts],
+    /// Nothing of what is still to be read leaves before this, ticks.
+    not_before: u64,
 }
 
-impl Judge<'_> {
+impl<'l> Judge<'l> {
+    fn new(life: &'l Life, limits: &'l Limits) -> Self {
+        Self {
+            limits,
+            axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
+            summary: Summary::default(),
+            violations: Vec::new(),
+            more: 0,
+            lost: false,
+            inputs: &life.inputs,
+            homes: &life.homes,
+            not_before: 0,
+        }
+    }
+
     fn wrong(&mut self, at_ticks: impl Into<Option<u64>>, message: String) {
         if self.violations.len() == VIOLATIONS_MAX {
             self.more += 1;

@@ -40,7 +40,10 @@
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.
 //!
-//! Absent as yet: homing; [`Motion::check`] refuses it.
+//! - An axis that runs into a limit is told of at once, and one that would go further into a pressed
+//!   limit does not begin to.
+//!
+//! Absent: the stop that follows from a limit; whoever owns the stop path makes it.
 #![no_std]
 #![deny(clippy::float_arithmetic)]
 
@@ -68,7 +71,10 @@ pub use axis::Axis;
 pub use backend::StepBackend;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
-pub use motion::{CommandError, Course, DriveError, Motion, MotionConfig, MotionEvent, Target};
+pub use motion::{
+    CommandError, ConfigError, Course, DriveError, LimitHit, Motion, MotionConfig, MotionEvent,
+    Target,
+};
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};
 pub use segment::Direction;

@@ -2,17 +2,26 @@
 
 mod change;
 mod check;
+mod config;
 mod drive;
+mod homing;
+mod inputs;
 mod marks;
 
 pub use check::CommandError;
+pub use config::{ConfigError, MotionConfig};
 pub use drive::{Course, DriveError, Target};
 
 use drive::Drive;
+use homing::Homing;
 use marks::{Mark, Marks, What};
 
 use crate::{
-    Axis, AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
+    Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
+    io::{
+        home::{HomeConfig, HomeError, Switches},
+        input::{Inputs, Role, Switch},
+    },
     law::speed_from_hz,
     limits::{
         ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, PATH_AHEAD_TICKS, TICK_HZ, TICKS_PER_US,
@@ -29,21 +38,30 @@ use keys::{
     status::FaultCode,
 };
 
-/// The axes of a node.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MotionConfig {
-    /// How many there are, 1 to [`CHANNELS`].
-    pub axis_count: usize,
-    /// What their drivers demand; those beyond `axis_count` do not matter.
-    pub axes: [AxisProfile; CHANNELS],
+/// What an axis came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LimitHit {
+    /// It runs into this limit.
+    Switch(Switch),
+    /// A command would move it further into this limit. Nothing of it has moved.
+    Blocked {
+        /// Number of the command in the queue.
+        command: u64,
+        /// The limit.
+        switch: Switch,
+    },
 }
 
-impl Default for MotionConfig {
-    /// Two axes with the default profile.
-    fn default() -> Self {
-        Self {
-            axis_count: 2,
-            axes: [AxisProfile::default(); CHANNELS],
+impl core::fmt::Display for LimitHit {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Switch(switch) => write!(f, "ran into its {switch}"),
+            Self::Blocked { command, switch } => {
+                write!(
+                    f,
+                    "command {command} would move it further into its {switch}"
+                )
+            }
         }
     }
 }
@@ -84,6 +102,43 @@ pub enum MotionEvent {
         command: u64,
         /// When; if nothing steps before the next barrier or the end, the instant of the release.
         first_edge_at: Ticks,
+    },
+    /// An axis is at a limit. Told once; it goes on unless [`Motion::stop`] follows.
+    Limit {
+        /// The axis.
+        axis: AxisId,
+        /// Its position when this was found.
+        position_steps: i64,
+        /// What it came to.
+        hit: LimitHit,
+    },
+    /// An axis has been homed.
+    Homed {
+        /// The axis.
+        axis: AxisId,
+        /// Where it rests now.
+        position_steps: i64,
+    },
+    /// Homing failed: the queue does not go on without [`Motion::stop`].
+    HomeFailed {
+        /// The axis.
+        axis: AxisId,
+        /// Where it is, as far as it knows.
+        position_steps: i64,
+        /// Why.
+        error: HomeError,
+    },
+    /// A stop input changed.
+    StopInput {
+        /// Whether the stop is demanded.
+        active: bool,
+    },
+    /// The probe changed.
+    Probe {
+        /// Whether it touches.
+        active: bool,
+        /// Where each axis was at that edge.
+        positions_steps: [i64; CHANNELS],
     },
     /// The pulse hardware found a fault.
     Fault(FaultCode),
@@ -142,6 +197,9 @@ struct Start {
     first_edge_at: Option<Ticks>,
 }
 
+/// Events that wait for the next poll: two of an input's level, two of what follows from them.
+const TOLD_MAX: usize = 8;
+
 /// Motion of one node. See the crate for the picture.
 ///
 /// Call [`Motion::poll`] until it gives `None`, at [`Motion::poll_timeout`] or earlier; a late call
@@ -165,6 +223,20 @@ pub struct Motion<'m, B: StepBackend> {
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
     drive: Option<Drive>,
+    homing: Option<Homing>,
+    homes: [Option<HomeConfig>; CHANNELS],
+    homed: [bool; CHANNELS],
+    inputs: Inputs,
+    switches: [Switches; CHANNELS],
+    /// A limit was told, and nothing was stopped since.
+    limit_told: bool,
+    /// Whether an axis has a limit.
+    has_limits: bool,
+    /// Which way each axis has stepped last, while it moves.
+    headings: [Option<Direction>; CHANNELS],
+    /// Played steps when that was found.
+    seen_steps: [i64; CHANNELS],
+    told: heapless::Deque<MotionEvent, TOLD_MAX>,
     /// Share of the lines' speed, 2⁻¹⁶.
     share: u32,
     /// What is planned from rest begins no earlier: a barrier was released for this instant.
@@ -196,12 +268,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// those of `config`.
     ///
     /// # Panics
-    /// The configuration has no axis, or more than the back end.
+    /// [`MotionConfig::check`] finds something wrong, or the back end has fewer axes.
     pub fn new(ring: CommandRing<'m>, mut backend: B, config: MotionConfig) -> Self {
-        assert!(
-            (1..=CHANNELS).contains(&config.axis_count),
-            "a node has 1 to {CHANNELS} axes"
-        );
+        if let Err(error) = config.check() {
+            panic!("{error}");
+        }
         assert!(
             backend.axes().len() >= config.axis_count,
             "the back end has fewer channels than axes"
@@ -211,6 +282,21 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
         let timing = config.axes.map(Timing::from);
         let lead_ticks = timing[..config.axis_count].iter().map(Timing::turn_ticks);
+        let is_high = |index: usize| config.input_levels >> index & 1 != 0;
+        let inputs = Inputs::new(config.inputs, is_high, Ticks(0));
+        let axes = (0..).map(AxisId);
+        let is_pressed = |axis, switch| inputs.is_active(Role::Axis { axis, switch });
+        let mut switches = [Switches::default(); CHANNELS];
+        for (switches, axis) in switches.iter_mut().zip(axes.clone()) {
+            for switch in [Switch::Min, Switch::Max, Switch::Home] {
+                switches.set(switch, is_pressed(axis, switch));
+            }
+        }
+        let has_limit = |axis| {
+            let has = |switch| config.inputs.has(Role::Axis { axis, switch });
+            has(Switch::Min) || has(Switch::Max)
+        };
+        let has_limits = axes.take(CHANNELS).any(has_limit);
         Self {
             ring,
             backend,
@@ -226,6 +312,16 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             change_due: false,
             extended_commands: 0,
             drive: None,
+            homing: None,
+            homes: config.homes,
+            homed: [false; CHANNELS],
+            inputs,
+            switches,
+            limit_told: false,
+            has_limits,
+            headings: [None; CHANNELS],
+            seen_steps: [0; CHANNELS],
+            told: heapless::Deque::new(),
             share: 1 << 16,
             resume_at: Ticks(0),
             now: Ticks(0),
@@ -244,6 +340,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
     }
 
+    /// Returns how far it has come: the time of what it tells. Not later than that of the last call.
+    pub fn now(&self) -> Ticks {
+        self.now
+    }
+
     /// Returns how many axes there are.
     pub fn axis_count(&self) -> usize {
         self.axis_count
@@ -251,9 +352,15 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns what this firmware can do.
     pub fn features(&self) -> Features {
-        Features::BASIC
+        let features = Features::BASIC
             .with(Features::RAMPS)
-            .with(Features::BARRIERS)
+            .with(Features::BARRIERS);
+        let homes = (0..).map(AxisId).zip(&self.homes[..self.axis_count]);
+        homes
+            .filter(|(_, home)| home.is_some())
+            .fold(features, |features, (axis, _)| {
+                features.with(Command::Home { axis }.feature())
+            })
     }
 
     /// Returns how many commands still fit.
@@ -366,6 +473,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(code) = self.fault.take() {
                 return Some(MotionEvent::Fault(code));
             }
+            self.pass_inputs();
+            if let Some(event) = self.told.pop_front() {
+                return Some(event);
+            }
             if let Some(event) = self.check_counters() {
                 return Some(event);
             }
@@ -378,31 +489,48 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(event) = self.pass_barrier() {
                 return Some(event);
             }
+            self.pass_station();
+            self.pass_homing();
             self.plan();
             if let Some(event) = self.pass_start() {
                 return Some(event);
             }
-            if self.marks.front().is_some_and(|mark| mark.end <= self.now) {
+            let has_ended = self.marks.front().is_some_and(|mark| mark.end <= self.now);
+            if has_ended || !self.told.is_empty() {
                 continue;
             }
             if self.now >= now {
                 return None;
             }
+            // An input counts at its own time.
+            let due = self.inputs.poll_timeout();
+            let until = due.map_or(now, |due| due.max(self.now).min(now));
             self.now = match self.phase {
                 Phase::Rest => self
                     .alarm()
-                    .map_or(now, |alarm| alarm.max(self.now).min(now)),
-                Phase::Stopped => now,
-                Phase::Playing { .. } | Phase::Decelerating => self.backend.service(now),
+                    .map_or(until, |alarm| alarm.max(self.now).min(until)),
+                Phase::Stopped => until,
+                Phase::Playing { .. } | Phase::Decelerating => self.backend.service(until),
             };
             self.fault = self.backend.take_fault();
             self.note_speeds();
+            if self.has_limits {
+                self.note_headings();
+            }
         }
     }
 
     /// Returns when [`Motion::poll`] has something to tell, `None` if only a command or a stop can
     /// change anything.
     pub fn poll_timeout(&self) -> Option<Ticks> {
+        let told = (!self.told.is_empty()).then_some(self.now);
+        [self.phase_timeout(), self.inputs.poll_timeout(), told]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    fn phase_timeout(&self) -> Option<Ticks> {
         match self.phase {
             Phase::Stopped => Some(self.now),
             // Its end depends on what the hardware still holds.
@@ -433,7 +561,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
                 // A drive or a resumption begins with the next call.
                 let begins = matches!(self.hold, Hold::Resuming(_))
-                    || self.drive.is_some_and(|drive| drive.next.is_some());
+                    || self.drive.is_some_and(|drive| drive.next.is_some() && !self.is_held());
                 let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
                 marks
                     .chain(end)
@@ -447,11 +575,21 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// The one stop: drops everything that is not played. [`StopMode::Halt`] is complete when this
     /// returns, [`StopMode::Decelerate`] when [`Motion::poll`] says [`MotionEvent::Stopped`].
-    pub fn stop(&mut self, mode: StopMode, now: Ticks) {
-        // What belongs to the time before the stop happened before it. Of its events only a fault
-        // still matters.
+    pub fn stop(&mut self, mut mode: StopMode, now: Ticks) {
+        // What belongs to the time before the stop happened before it. Of its events only what is
+        // wrong still matters, and what the stop pin says.
+        let mut missed = None;
         while let Some(event) = self.poll(now) {
             match event {
+                MotionEvent::Limit { .. } => {
+                    mode = StopMode::Halt;
+                    missed = Some(event);
+                    break;
+                }
+                MotionEvent::HomeFailed { .. } | MotionEvent::StopInput { .. } => {
+                    missed = Some(event);
+                    break;
+                }
                 MotionEvent::Fault(code) => {
                     self.fault = Some(code);
                     break;
@@ -468,6 +606,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 _ => {}
             }
         }
+        missed.into_iter().for_each(|event| self.tell(event));
+        self.homing = None;
         match (self.phase, mode) {
             (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
             (Phase::Rest, _) => self.end_stop(),
@@ -587,6 +727,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Notices that the channels have come to rest.
     fn pass_phase(&mut self) -> Option<MotionEvent> {
         match self.phase {
+            // A drive that was ended before it began, or while it was held.
+            Phase::Rest if matches!(self.hold, Hold::None) => self.pass_drive(),
             Phase::Rest => None,
             Phase::Stopped => {
                 self.phase = Phase::Rest;
@@ -617,8 +759,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
                     Hold::Resuming(_) => return None,
                 }
-                let at_barrier = matches!(self.ring.peek(), Some(Command::Barrier { .. }));
-                if self.executed_commands < self.expected_commands && !at_barrier {
+                let waits = self.ring.peek().is_some_and(|next| waits_for_rest(&next));
+                if self.executed_commands < self.expected_commands && !waits {
                     Some(MotionEvent::Underrun)
                 } else {
                     Some(MotionEvent::Rest)
@@ -661,7 +803,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// else each axis by itself.
     fn decelerate(&mut self) {
         self.planner.hold(true);
-        if self.change_path().is_some() {
+        if self.is_drive_ending() || self.change_path().is_some() {
             self.phase = Phase::Decelerating;
             self.note_speeds();
             return;
@@ -701,6 +843,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.hold = Hold::None;
         self.change_due = false;
         self.drive = None;
+        self.homing = None;
+        self.limit_told = false;
+        self.headings = [None; CHANNELS];
         for axis in 0..self.axis_count {
             self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
         }
@@ -757,8 +902,12 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 self.go_on(Split { at, ..split }, own);
                 continue;
             }
-            if let Some(Drive { axis, next, due }) = self.drive {
-                let Some(leg) = next.filter(|_| !due || self.phase == Phase::Rest) else {
+            if let Some(Drive {
+                axis, next, due, ..
+            }) = self.drive
+            {
+                let begins = (!due || self.phase == Phase::Rest) && !self.is_held();
+                let Some(leg) = next.filter(|_| begins) else {
                     break;
                 };
                 let appends = self.can_append(starts_at.is_some());
@@ -775,6 +924,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     axis,
                     next: None,
                     due: false,
+                    ending: false,
                 });
                 self.begin_leg(axis, leg, begin);
                 continue;
@@ -782,7 +932,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let Some(command) = self.ring.peek() else {
                 break;
             };
-            if self.marks.is_full() || matches!(command, Command::Barrier { .. }) {
+            if self.marks.is_full() || waits_for_rest(&command) || self.refuse_blocked(&command) {
                 break;
             }
             if self.is_held() && !self.planner.is_at_speed() {
@@ -960,6 +1110,11 @@ fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Lin
         .take(LOOK_COMMANDS_MAX)
         .filter(|next| !takes_no_time(next))
         .map_while(|next| line_of(&next))
+}
+
+/// Returns whether a command begins only when all before it has ended.
+fn waits_for_rest(command: &Command) -> bool {
+    matches!(command, Command::Barrier { .. } | Command::Home { .. })
 }
 
 fn takes_no_time(command: &Command) -> bool {

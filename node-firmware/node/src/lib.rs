@@ -4,6 +4,7 @@
 //!                    ┌────────────────────────── Node ──────────────────────────┐
 //!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
+//!  switches ───────▶ │ inputs.rs ── limits, homing ───▶ │                       │
 //!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
 //!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
 //!                    │          report.rs ◀── position ─┘                       │
@@ -23,6 +24,7 @@ pub mod run;
 pub mod trace;
 
 mod clock;
+mod inputs;
 mod intake;
 mod report;
 mod start;
@@ -46,7 +48,10 @@ use keys::{
     status::{FAULTS_MAX, FaultCode},
     version,
 };
-use motion::{CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks};
+use motion::{
+    CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks,
+    io::input::PinLevel,
+};
 
 /// What to do when the link stays away while commands are executed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -118,6 +123,8 @@ pub enum Inbound<'b> {
         /// Whether the stop is demanded.
         active: bool,
     },
+    /// A level of an input pin.
+    Input(PinLevel),
     /// Signal strength of the link, dBm.
     SignalStrength {
         /// `None` without WiFi.
@@ -232,11 +239,11 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             } => {
                 self.begin_stop(StopReason::Client, Stop::from_payload(payload).mode, now);
             }
-            Inbound::StopPin { active } => {
-                self.stop_pin_active = active;
-                if active {
-                    self.begin_stop(StopReason::Pin, StopMode::Halt, now);
-                }
+            Inbound::StopPin { active } => self.take_stop_pin(active, now),
+            Inbound::Input(level) => {
+                // What comes before it has happened before it.
+                self.run_motion(now);
+                self.motion.input(level);
             }
             Inbound::Message {
                 topic: NodeTopic::Clock,
@@ -412,6 +419,25 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     command,
                     first_edge_at,
                 } => self.tell_started(command, first_edge_at, now),
+                MotionEvent::Limit {
+                    axis,
+                    position_steps,
+                    hit,
+                } => self.reach_limit(axis, position_steps, hit, now),
+                MotionEvent::Homed {
+                    axis,
+                    position_steps,
+                } => self.note_homed(axis, position_steps, now),
+                MotionEvent::HomeFailed {
+                    axis,
+                    position_steps,
+                    error,
+                } => self.fail_homing(axis, position_steps, error, now),
+                MotionEvent::StopInput { active } => self.take_stop_pin(active, now),
+                MotionEvent::Probe {
+                    active,
+                    positions_steps,
+                } => self.take_probe(active, &positions_steps, now),
                 MotionEvent::Stopped => self.complete_stop(now),
                 MotionEvent::Fault(code) => {
                     self.note_fault(code, now);

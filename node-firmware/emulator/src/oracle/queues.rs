@@ -163,7 +163,14 @@ impl Judge<'_> {
             self.summary.commands += (index..index + count.max(1))
                 .filter(|number| (*number as u64) < scope.executed)
                 .count() as u64;
-            if pieces.is_empty() {
+            if let Command::Home { axis } = taken.command {
+                anchor = None;
+                if !self.read_homing(taken, axis, &scope, stop) {
+                    broken.fill(true);
+                }
+                planned[axis.index()] = self.axes[axis.index()].position();
+                index += 1;
+            } else if pieces.is_empty() {
                 let number = index as u64;
                 if let Command::SetPosition {
                     axis,
@@ -387,8 +394,8 @@ impl Judge<'_> {
                 format!("axes that start together differ by {skew} ticks"),
             );
         }
-        if at < taken_at {
-            self.wrong(at, "a step before its command was taken".to_owned());
+        if at < taken_at.max(self.not_before) {
+            self.wrong(at, "a step before its command was taken or due".to_owned());
         }
         let signs = runs
             .iter()

@@ -23,6 +23,9 @@ impl<B: StepBackend> Motion<'_, B> {
         let Phase::Playing { .. } = self.phase else {
             return None;
         };
+        if self.is_drive_ending() {
+            return None;
+        }
         let axes = &mut self.backend.axes()[..self.axis_count];
         let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
         if !on_path || axes.iter().any(Axis::has_ended) {

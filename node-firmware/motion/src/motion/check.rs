@@ -15,6 +15,8 @@ pub enum CommandError {
     Axis(AxisId),
     /// This firmware cannot do it.
     NotSupported,
+    /// The axis has no reference switch.
+    NoHome(AxisId),
     /// The interval is shorter than the driver's pulse, ns.
     TooFast {
         /// The shortest interval of the axis.
@@ -43,6 +45,7 @@ impl core::fmt::Display for CommandError {
         match self {
             Self::Axis(axis) => write!(f, "there is no axis {}", axis.0),
             Self::NotSupported => write!(f, "not supported by this node's firmware"),
+            Self::NoHome(axis) => write!(f, "axis {} has no reference switch", axis.0),
             Self::TooFast { interval_ns_min } => write!(
                 f,
                 "the driver needs at least {interval_ns_min} ns from step to step"
@@ -62,13 +65,16 @@ impl<B: StepBackend> Motion<'_, B> {
     /// # Errors
     /// Why not.
     pub fn check(&self, command: &Command) -> Result<(), CommandError> {
-        if !self.features().has(command.feature()) {
-            return Err(CommandError::NotSupported);
-        }
         if let Some(axis) = command.axis_max()
             && usize::from(axis.0) >= self.axis_count
         {
             return Err(CommandError::Axis(axis));
+        }
+        if !self.features().has(command.feature()) {
+            return Err(match *command {
+                Command::Home { axis } => CommandError::NoHome(axis),
+                _ => CommandError::NotSupported,
+            });
         }
         match *command {
             Command::Move {

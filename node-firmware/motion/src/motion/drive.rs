@@ -127,6 +127,8 @@ pub(super) struct Drive {
     pub(super) next: Option<Leg>,
     /// It is to leave its present leg for that, or for rest, as soon as possible.
     pub(super) due: bool,
+    /// It slows down to rest, wherever that is: its present way leads nowhere.
+    pub(super) ending: bool,
 }
 
 /// A way from rest.
@@ -148,6 +150,19 @@ impl<B: StepBackend> Motion<'_, B> {
     /// # Errors
     /// [`DriveError`]; nothing has happened.
     pub fn drive(&mut self, axis: AxisId, target: Target, how: Course) -> Result<(), DriveError> {
+        if self.homing.is_some() {
+            return Err(DriveError::Busy);
+        }
+        self.begin_drive(axis, target, how)
+    }
+
+    /// The same, for homing too.
+    pub(super) fn begin_drive(
+        &mut self,
+        axis: AxisId,
+        target: Target,
+        how: Course,
+    ) -> Result<(), DriveError> {
         let index = usize::from(axis.0);
         if index >= self.axis_count {
             return Err(DriveError::Command(CommandError::Axis(axis)));
@@ -169,7 +184,13 @@ impl<B: StepBackend> Motion<'_, B> {
         };
         let next = Some(Leg { to_steps, how });
         let due = self.drive.is_some();
-        self.drive = Some(Drive { axis, next, due });
+        let ending = self.drive.is_some_and(|drive| drive.ending);
+        self.drive = Some(Drive {
+            axis,
+            next,
+            due,
+            ending,
+        });
         self.change_drive();
         Ok(())
     }
@@ -191,13 +212,22 @@ impl<B: StepBackend> Motion<'_, B> {
                     self.rest_drive(index, split, law);
                 }
             }
+            // Both say whether it comes to rest.
+            drive.ending = self.drive.is_some_and(|drive| drive.ending);
         }
         drive.due = false;
         self.drive = Some(drive);
     }
 
-    /// Ends a drive: at once, or by its own ramp. Nothing happens without one.
+    /// Ends a drive: at once, or by its own ramp. Nothing happens without one, or while an axis is
+    /// homed: only a stop ends that.
     pub fn end_drive(&mut self, mode: StopMode) {
+        if self.homing.is_none() {
+            self.leave_or_halt(mode);
+        }
+    }
+
+    pub(super) fn leave_or_halt(&mut self, mode: StopMode) {
         let Some(drive) = self.drive.as_mut() else {
             return;
         };
@@ -206,6 +236,8 @@ impl<B: StepBackend> Motion<'_, B> {
         let axis = drive.axis;
         let index = usize::from(axis.0);
         let Phase::Playing { .. } = self.phase else {
+            // What was left of a way that was held is over.
+            self.planned_steps[index] = self.backend.played_steps(axis);
             return;
         };
         match mode {
@@ -240,10 +272,11 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Tells that a drive rests.
     pub(super) fn pass_drive(&mut self) -> Option<MotionEvent> {
         let ended = self.drive.is_some_and(|drive| drive.next.is_none());
-        (ended && self.phase == Phase::Rest).then(|| {
-            self.drive = None;
-            MotionEvent::DriveEnded
-        })
+        if !ended || self.phase != Phase::Rest {
+            return None;
+        }
+        self.drive = None;
+        (!self.pass_homing_drive()).then_some(MotionEvent::DriveEnded)
     }
 
     /// Begins the next leg of a drive from rest, at `begin`.
@@ -326,7 +359,8 @@ impl<B: StepBackend> Motion<'_, B> {
         let axes = &self.backend.axes()[..self.axis_count];
         self.planner.hold(true);
         let begun = self.planner.go_on(split, iter::empty(), axes);
-        self.planner.hold(false);
+        self.planner.hold(self.is_held());
+        self.set_ending(true);
         let made = begun.held.map_or(0, |held| held.from.place.rounded());
         self.planned_steps[axis] = base_steps + sign * made;
         self.note_path(
@@ -338,8 +372,20 @@ impl<B: StepBackend> Motion<'_, B> {
         );
     }
 
+    fn set_ending(&mut self, ending: bool) {
+        if let Some(drive) = self.drive.as_mut() {
+            drive.ending = ending;
+        }
+    }
+
+    /// Returns whether a drive slows down to rest already.
+    pub(super) fn is_drive_ending(&self) -> bool {
+        self.drive.is_some_and(|drive| drive.ending)
+    }
+
     fn resume_drive(&mut self, axis: usize, split: Split) {
         self.planned_steps[axis] = split.base_steps[axis] + split.line.steps[axis];
+        self.set_ending(false);
         let axes = &self.backend.axes()[..self.axis_count];
         let begun = self.planner.go_on(split, iter::empty(), axes);
         self.note_path(&begun, None);

@@ -1,0 +1,204 @@
+//! What a node's axes, inputs and outputs are; checked before anything is built on it.
+
+use crate::{
+    AxisProfile,
+    io::{
+        home::{HomeConfig, HomeConfigError},
+        input::{InputMap, MapError, Role, Switch},
+    },
+    limits::{CHANNELS, TICK_HZ},
+    profile::Timing,
+};
+use core::fmt;
+use keys::{AxisId, StopMode};
+
+/// The axes of a node and what surrounds them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MotionConfig {
+    /// How many there are, 1 to [`CHANNELS`].
+    pub axis_count: usize,
+    /// What their drivers demand; those beyond `axis_count` do not matter.
+    pub axes: [AxisProfile; CHANNELS],
+    /// The input pins.
+    pub inputs: InputMap,
+    /// Their levels at boot, a bit for each.
+    pub input_levels: u32,
+    /// How the axes are homed that can be.
+    pub homes: [Option<HomeConfig>; CHANNELS],
+    /// How an axis stops that comes to a limit switch.
+    pub limit_stop: StopMode,
+    /// How everything stops when the probe touches; `None`: it is only noted where.
+    pub probe_stop: Option<StopMode>,
+}
+
+impl Default for MotionConfig {
+    /// Two axes with the default profile, and nothing beside them.
+    fn default() -> Self {
+        Self {
+            axis_count: 2,
+            axes: [AxisProfile::default(); CHANNELS],
+            inputs: InputMap::EMPTY,
+            input_levels: 0,
+            homes: [None; CHANNELS],
+            limit_stop: StopMode::Halt,
+            probe_stop: None,
+        }
+    }
+}
+
+/// Why a node cannot be like this.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigError {
+    /// Not 1 to [`CHANNELS`] axes.
+    AxisCount(usize),
+    /// An input.
+    Input(MapError),
+    /// The way an axis is homed.
+    Home {
+        /// The axis.
+        axis: AxisId,
+        /// What is wrong.
+        error: HomeConfigError,
+    },
+    /// An axis is homed by a switch that is no input.
+    NoSwitch {
+        /// The axis.
+        axis: AxisId,
+        /// Its switch.
+        switch: Switch,
+    },
+    /// An axis is homed faster than its driver can step.
+    HomeTooFast {
+        /// The axis.
+        axis: AxisId,
+        /// Most that its driver can, Hz.
+        hz_max: u32,
+    },
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AxisCount(count) => write!(f, "a node has 1 to {CHANNELS} axes, not {count}"),
+            Self::Input(error) => error.fmt(f),
+            Self::Home { axis, error } => write!(f, "axis {}: {error}", axis.0),
+            Self::NoSwitch { axis, switch } => {
+                write!(
+                    f,
+                    "axis {}: homing needs its {switch}, which is no input",
+                    axis.0
+                )
+            }
+            Self::HomeTooFast { axis, hz_max } => {
+                write!(
+                    f,
+                    "axis {}: homing is faster than {hz_max} Hz, which its driver can",
+                    axis.0
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+impl MotionConfig {
+    /// Checks what the types do not.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with its place.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        if !(1..=CHANNELS).contains(&self.axis_count) {
+            return Err(ConfigError::AxisCount(self.axis_count));
+        }
+        self.inputs
+            .check(self.axis_count)
+            .map_err(ConfigError::Input)?;
+        for (axis, home) in self.homes() {
+            home.check()
+                .map_err(|error| ConfigError::Home { axis, error })?;
+            let switch = home.switch;
+            if !self.inputs.has(Role::Axis { axis, switch }) {
+                return Err(ConfigError::NoSwitch { axis, switch });
+            }
+            let least = Timing::from(self.axes[usize::from(axis.0)]).interval_ticks_min();
+            let hz_max = TICK_HZ / least;
+            if u64::from(home.seek_hz) > hz_max {
+                return Err(ConfigError::HomeTooFast {
+                    axis,
+                    hz_max: hz_max as u32,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The axes that can be homed.
+    pub fn homes(&self) -> impl Iterator<Item = (AxisId, HomeConfig)> + '_ {
+        let axes = (0..).map(AxisId).zip(&self.homes).take(self.axis_count);
+        axes.filter_map(|(axis, home)| Some((axis, (*home)?)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use crate::io::input::{Filter, InputConfig};
+    use std::string::ToString;
+
+    const Y: AxisId = AxisId(1);
+
+    fn config() -> MotionConfig {
+        let min = InputConfig {
+            role: Role::Axis {
+                axis: Y,
+                switch: Switch::Min,
+            },
+            active_low: false,
+            filter: Filter::default(),
+        };
+        MotionConfig {
+            inputs: InputMap::new(&[min], 2).expect("two axes"),
+            homes: [None, Some(HomeConfig::min_switch(1_000)), None, None],
+            ..MotionConfig::default()
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_is_named_with_its_place() {
+        assert_eq!(config().check(), Ok(()));
+        assert_eq!(MotionConfig::default().check(), Ok(()));
+        let wrong = |change: fn(&mut MotionConfig)| {
+            let mut config = config();
+            change(&mut config);
+            config.check().expect_err("wrong").to_string()
+        };
+        assert_eq!(
+            wrong(|config| config.axis_count = 5),
+            "a node has 1 to 4 axes, not 5"
+        );
+        assert_eq!(
+            wrong(|config| config.axis_count = 1),
+            "input 0: there is no axis 1"
+        );
+        assert_eq!(
+            wrong(|config| config.inputs = InputMap::EMPTY),
+            "axis 1: homing needs its min limit, which is no input"
+        );
+        let home = |change: fn(&mut HomeConfig)| {
+            let mut config = config();
+            config.homes[1].iter_mut().for_each(change);
+            config.check().expect_err("wrong").to_string()
+        };
+        assert_eq!(
+            home(|home| home.seek_hz = 2_000_000),
+            "axis 1: homing is faster than 1000000 Hz, which its driver can"
+        );
+        assert_eq!(
+            home(|home| home.accel_hz_per_s = 0),
+            "axis 1: homing needs an acceleration"
+        );
+    }
+}
