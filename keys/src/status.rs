@@ -79,6 +79,8 @@ impl FaultCode {
     pub const LIMIT: Self = Self(205);
     /// An axis did not find its reference switch.
     pub const HOMING: Self = Self(206);
+    /// C or D did not arrive where it was sent.
+    pub const NOT_THERE: Self = Self(207);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
 
@@ -92,6 +94,7 @@ impl FaultCode {
             Self::COUNT_MISMATCH => "position and pulse counter disagree",
             Self::LIMIT => "an axis at its limit",
             Self::HOMING => "homing failed",
+            Self::NOT_THERE => "C or D did not arrive",
             Self::PANIC => "firmware panic",
             _ => "unknown fault",
         }

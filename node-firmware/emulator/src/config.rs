@@ -2,15 +2,17 @@
 
 use crate::{
     machine::{MachineConfig, MachineSwitch},
+    pins::{CARRIAGE_C, CARRIAGE_D},
     pulse::RmtConfig,
     record::HomeFacts,
 };
 use keys::{AxisId, Keys, NodeId};
 use motion::{
-    ConfigError, Direction, MotionConfig,
+    ConfigCd, ConfigError, Direction, MotionConfig,
     io::{
         home::HomeConfig,
         input::{Filter, INPUTS_MAX, InputConfig, InputMap, MapError, Role, Switch},
+        named::POSITIONS_C,
     },
     limits::CHANNELS,
 };
@@ -19,6 +21,7 @@ use node::{
     limits::{LINK_LOSS_AFTER_US_DEFAULT, RING_COMMANDS_DEFAULT},
 };
 pub use pico::session::Credentials;
+use std::ops::RangeInclusive;
 
 /// What is kept for the oracle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -112,23 +115,57 @@ impl EmulatorConfig {
         switch: Switch,
         at_steps: i64,
     ) -> Result<(), MapError> {
+        let pressed = match switch {
+            Switch::Min => i64::MIN..=at_steps,
+            Switch::Max => at_steps..=i64::MAX,
+            Switch::Home => at_steps - HOME_SWITCH_STEPS..=at_steps,
+        };
+        self.add_input(Role::Axis { axis, switch }, axis.index(), pressed)
+    }
+
+    /// Gives the node C and D with the default tables, a limit at each end of both: those of D where
+    /// its ends are, C's so far outside its positions.
+    ///
+    /// # Errors
+    /// There is no room for so many inputs.
+    pub fn add_cd(&mut self, c_margin_steps: i64) -> Result<(), MapError> {
+        let cd = ConfigCd::default();
+        let steps = |um: i64, per_m: u32| um * i64::from(per_m) / 1_000_000;
+        let c_end = steps(
+            i64::from(cd.c.positions[POSITIONS_C - 1].position_um),
+            cd.c.steps_per_m,
+        );
+        let d_end = steps(i64::from(cd.d.travel_um), cd.d.steps_per_m);
+        self.motion.cd = Some(cd);
+        self.add_input(Role::C(Switch::Min), CARRIAGE_C, i64::MIN..=-c_margin_steps)?;
+        self.add_input(
+            Role::C(Switch::Max),
+            CARRIAGE_C,
+            c_end + c_margin_steps..=i64::MAX,
+        )?;
+        self.add_input(Role::D(Switch::Min), CARRIAGE_D, i64::MIN..=0)?;
+        self.add_input(Role::D(Switch::Max), CARRIAGE_D, d_end..=i64::MAX)
+    }
+
+    fn add_input(
+        &mut self,
+        role: Role,
+        carriage: usize,
+        pressed: RangeInclusive<i64>,
+    ) -> Result<(), MapError> {
         let mut inputs: Vec<_> = (0..INPUTS_MAX)
             .map_while(|index| self.motion.inputs.get(index).copied())
             .collect();
         inputs.push(InputConfig {
-            role: Role::Axis { axis, switch },
+            role,
             active_low: false,
             filter: Filter::default(),
         });
         self.motion.inputs = InputMap::new(&inputs, CHANNELS)?;
         self.machine.switches.push(MachineSwitch {
             input: inputs.len() - 1,
-            axis: axis.index(),
-            pressed: match switch {
-                Switch::Min => i64::MIN..=at_steps,
-                Switch::Max => at_steps..=i64::MAX,
-                Switch::Home => at_steps - HOME_SWITCH_STEPS..=at_steps,
-            },
+            carriage,
+            pressed,
             hysteresis_steps: 5,
         });
         Ok(())

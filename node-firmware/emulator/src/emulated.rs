@@ -8,6 +8,7 @@ use crate::{
     config::{EmulatorConfig, Recording},
     machine::Machine,
     memory::RingMemory,
+    pins::Pin,
     pulse::VirtualRmt,
     record::{Life, TakenCommand},
     vcd::VcdWriter,
@@ -134,7 +135,14 @@ impl EmulatedNode {
     /// # Errors
     /// Those of `out`.
     pub fn dump_to(&mut self, out: Box<dyn Write + Send>) -> io::Result<()> {
-        let vcd = VcdWriter::new(out, &self.config.name, self.node.motion().axis_count())?;
+        let axes = (0..self.node.motion().axis_count()).map(|axis| AxisId(axis as u8));
+        let mut pins: Vec<_> = axes
+            .flat_map(|axis| [Pin::Step(axis), Pin::Direction(axis)])
+            .collect();
+        if self.config.motion.cd.is_some() {
+            pins.extend([Pin::StepC, Pin::DirectionC, Pin::StepD, Pin::DirectionD]);
+        }
+        let vcd = VcdWriter::new(out, &self.config.name, pins)?;
         self.vcd = Some(vcd);
         self.node.motion_mut().backend_mut().record_edges(true);
         Ok(())
@@ -198,7 +206,13 @@ impl EmulatedNode {
 
     /// Returns where the carriage of an axis is, steps of the machine.
     pub fn place_steps(&self, axis: AxisId) -> i64 {
-        self.machine.place_steps(axis.index())
+        self.carriage_steps(axis.index())
+    }
+
+    /// Returns where a carriage is, that of an axis or of C or D, steps of the machine. Without any
+    /// switch nobody has looked.
+    pub fn carriage_steps(&self, carriage: usize) -> i64 {
+        self.machine.place_steps(carriage)
     }
 
     /// Connects or cuts the link.
@@ -397,7 +411,8 @@ impl EmulatedNode {
         while self.looked_at < now {
             let at = self.looked_at;
             let mut next = now;
-            if self.node.motion().backend().is_playing() {
+            let backend = self.node.motion().backend();
+            if backend.is_playing() || backend.cd_pins().is_running() {
                 let quiet_us = self.machine.quiet_steps() / STEPS_PER_US;
                 next = next.min(at.plus_us(quiet_us.max(LOOK_US)));
             }

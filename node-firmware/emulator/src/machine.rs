@@ -7,9 +7,9 @@
 
 use crate::{
     emulated::splitmix,
-    pins::{Pin, PinEvent},
+    pins::{CARRIAGES, PinEvent},
 };
-use motion::{TICKS_PER_US, Ticks, io::input::PinLevel, limits::CHANNELS};
+use motion::{TICKS_PER_US, Ticks, io::input::PinLevel};
 use std::{collections::VecDeque, ops::RangeInclusive};
 
 /// A switch in the way of a carriage.
@@ -17,8 +17,11 @@ use std::{collections::VecDeque, ops::RangeInclusive};
 pub struct MachineSwitch {
     /// Index of the node's input that it is wired to.
     pub input: usize,
-    /// The axis whose carriage presses it.
-    pub axis: usize,
+    /// The carriage that presses it: an axis by its number, or [`CARRIAGE_C`], or [`CARRIAGE_D`].
+    ///
+    /// [`CARRIAGE_C`]: crate::pins::CARRIAGE_C
+    /// [`CARRIAGE_D`]: crate::pins::CARRIAGE_D
+    pub carriage: usize,
     /// Where it is pressed, steps of the machine.
     pub pressed: RangeInclusive<i64>,
     /// It is released this much outside that.
@@ -29,7 +32,7 @@ pub struct MachineSwitch {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MachineConfig {
     /// Where its carriages are when it is switched on, steps of the machine.
-    pub start_steps: [i64; CHANNELS],
+    pub start_steps: [i64; CARRIAGES],
     /// Its switches.
     pub switches: Vec<MachineSwitch>,
     /// Longest that a switch bounces, µs; 0: not at all.
@@ -54,8 +57,8 @@ pub(crate) struct Machine {
     /// Pins that are low when their switch is pressed, by input.
     active_low: Vec<bool>,
     /// Steps since the node's boot, as its pulse counters show them.
-    counted_steps: [i64; CHANNELS],
-    positive: [bool; CHANNELS],
+    counted_steps: [i64; CARRIAGES],
+    positive: [bool; CARRIAGES],
     pressed: Vec<bool>,
     contacts: VecDeque<Contact>,
     random: u64,
@@ -69,8 +72,11 @@ impl Machine {
         seed: u64,
     ) -> Self {
         let pressed = config.switches.iter();
-        let pressed =
-            pressed.map(|switch| switch.pressed.contains(&config.start_steps[switch.axis]));
+        let pressed = pressed.map(|switch| {
+            switch
+                .pressed
+                .contains(&config.start_steps[switch.carriage])
+        });
         Self {
             pressed: pressed.collect(),
             active_low: config
@@ -78,8 +84,8 @@ impl Machine {
                 .iter()
                 .map(|switch| active_low(switch.input))
                 .collect(),
-            counted_steps: [0; CHANNELS],
-            positive: [false; CHANNELS],
+            counted_steps: [0; CARRIAGES],
+            positive: [false; CARRIAGES],
             contacts: VecDeque::new(),
             random: splitmix(seed),
             config,
@@ -97,7 +103,7 @@ impl Machine {
             *start += *counted;
             *counted = 0;
         }
-        self.positive = [false; CHANNELS];
+        self.positive = [false; CARRIAGES];
         self.contacts.clear();
     }
 
@@ -115,8 +121,8 @@ impl Machine {
     }
 
     /// Returns where a carriage is, steps of the machine.
-    pub(crate) fn place_steps(&self, axis: usize) -> i64 {
-        self.config.start_steps[axis] + self.counted_steps[axis]
+    pub(crate) fn place_steps(&self, carriage: usize) -> i64 {
+        self.config.start_steps[carriage] + self.counted_steps[carriage]
     }
 
     /// Returns for how many steps of any carriage no switch changes.
@@ -126,7 +132,7 @@ impl Machine {
         }
         let switches = self.config.switches.iter().zip(&self.pressed);
         let quiet = switches.map(|(switch, pressed)| {
-            let place = self.place_steps(switch.axis);
+            let place = self.place_steps(switch.carriage);
             let slack = if *pressed { switch.hysteresis_steps } else { 0 };
             let low = switch.pressed.start().saturating_sub_unsigned(slack);
             let high = switch.pressed.end().saturating_add_unsigned(slack);
@@ -146,26 +152,24 @@ impl Machine {
         let mut levels = Vec::new();
         for edge in edges {
             self.pass_contacts(edge.at_ticks, &mut levels);
-            match edge.pin {
-                Pin::Direction(axis) => self.positive[axis.index()] = edge.level,
-                Pin::Step(axis) if edge.level => {
-                    let axis = axis.index();
-                    self.counted_steps[axis] += if self.positive[axis] { 1 } else { -1 };
-                    self.look(axis, edge.at_ticks);
-                }
-                Pin::Step(_) => {}
+            if let Some(carriage) = edge.pin.turned_carriage() {
+                self.positive[carriage] = edge.level;
+            }
+            if let Some(carriage) = edge.pin.stepped_carriage().filter(|_| edge.level) {
+                self.counted_steps[carriage] += if self.positive[carriage] { 1 } else { -1 };
+                self.look(carriage, edge.at_ticks);
             }
         }
         self.pass_contacts(until.0, &mut levels);
         levels
     }
 
-    /// Presses and releases what the carriage of an axis has come to.
-    fn look(&mut self, axis: usize, at_ticks: u64) {
-        let place = self.place_steps(axis);
+    /// Presses and releases what a carriage has come to.
+    fn look(&mut self, carriage: usize, at_ticks: u64) {
+        let place = self.place_steps(carriage);
         for index in 0..self.config.switches.len() {
             let switch = &self.config.switches[index];
-            if switch.axis != axis {
+            if switch.carriage != carriage {
                 continue;
             }
             let slack = if self.pressed[index] {
@@ -216,7 +220,7 @@ impl Machine {
                 index: self.config.switches[contact.switch].input,
                 level: contact.closed != self.active_low[contact.switch],
                 at: Ticks(contact.at_ticks),
-                counted_steps: self.counted_steps,
+                counted_steps: std::array::from_fn(|axis| self.counted_steps[axis]),
             });
             self.contacts.pop_front();
         }
@@ -231,12 +235,13 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pins::Pin;
     use keys::AxisId;
 
     fn machine(bounce_us_max: u64) -> Machine {
         let switch = MachineSwitch {
             input: 3,
-            axis: 1,
+            carriage: 1,
             pressed: i64::MIN..=-10,
             hysteresis_steps: 2,
         };

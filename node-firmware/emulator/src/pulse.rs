@@ -23,12 +23,13 @@
 //! nothing of the ledger.
 
 use crate::{
+    cd::VirtualCd,
     emulated::splitmix,
     pins::{Pin, PinEvent},
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
+    Axis, AxisProfile, CdBackend, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
     limits::{CHANNEL_WORDS, CHANNELS, REFILL_WORDS},
 };
 
@@ -96,6 +97,7 @@ pub struct VirtualRmt {
     lapped: bool,
     record: bool,
     edges: Vec<PinEvent>,
+    cd: VirtualCd,
 }
 
 /// Where edges go.
@@ -246,7 +248,13 @@ impl VirtualRmt {
             lapped: false,
             record: false,
             edges: Vec::new(),
+            cd: VirtualCd::new(),
         }
+    }
+
+    /// Returns C and D, to look at.
+    pub fn cd_pins(&self) -> &VirtualCd {
+        &self.cd
     }
 
     /// Begins or ends keeping every change of a pin for [`VirtualRmt::take_edges`].
@@ -256,7 +264,9 @@ impl VirtualRmt {
 
     /// Gives the changes of pins since the last call, each axis in order of time.
     pub fn take_edges(&mut self) -> impl Iterator<Item = PinEvent> + use<'_> {
-        self.edges.drain(..)
+        let record = self.record;
+        let cd = self.cd.take_edges().filter(move |_| record);
+        self.edges.drain(..).chain(cd)
     }
 
     /// Returns the emulated pulse counter: steps with sign since boot, counted at the pins.
@@ -428,6 +438,14 @@ impl StepBackend for VirtualRmt {
 
     fn counted_steps(&self, axis: AxisId) -> Option<i64> {
         Some(self.step_count(axis))
+    }
+
+    fn cd(&mut self) -> Option<&mut dyn CdBackend> {
+        Some(&mut self.cd)
+    }
+
+    fn counted_c(&self) -> i64 {
+        CdBackend::counted_c(&self.cd)
     }
 
     fn take_fault(&mut self) -> Option<FaultCode> {

@@ -67,11 +67,6 @@ impl Bench {
         let faults = self.node.status().faults;
         faults.iter().map(|fault| fault.code).collect()
     }
-
-    fn run_for(&mut self, us: u64) {
-        let at = self.now.0 + us;
-        self.run_until(at);
-    }
 }
 
 #[test]

@@ -68,12 +68,12 @@ mod planner;
 mod steps;
 
 pub use axis::Axis;
-pub use backend::StepBackend;
+pub use backend::{CdBackend, StepBackend};
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
-    CommandError, ConfigError, Course, DriveError, LimitHit, Motion, MotionConfig, MotionEvent,
-    Target,
+    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, LimitHit, Motion,
+    MotionConfig, MotionEvent, Outlook, SoftLimits, Target,
 };
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};

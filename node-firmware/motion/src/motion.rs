@@ -7,14 +7,19 @@ mod drive;
 mod homing;
 mod inputs;
 mod marks;
+mod named;
+mod reach;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig};
 pub use drive::{Course, DriveError, Target};
+pub use named::{CdError, ConfigCd};
+pub use reach::{Beyond, Outlook, SoftLimits};
 
 use drive::Drive;
 use homing::Homing;
 use marks::{Mark, Marks, What};
+use named::Cd;
 
 use crate::{
     Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
@@ -50,6 +55,13 @@ pub enum LimitHit {
         /// The limit.
         switch: Switch,
     },
+    /// A command would move it beyond a soft limit. Nothing of it has moved.
+    Soft {
+        /// Number of the command in the queue.
+        command: u64,
+        /// Where to.
+        beyond: Beyond,
+    },
 }
 
 impl core::fmt::Display for LimitHit {
@@ -62,6 +74,7 @@ impl core::fmt::Display for LimitHit {
                     "command {command} would move it further into its {switch}"
                 )
             }
+            Self::Soft { command, beyond } => write!(f, "command {command} would move it {beyond}"),
         }
     }
 }
@@ -128,6 +141,13 @@ pub enum MotionEvent {
         /// Why.
         error: HomeError,
     },
+    /// C or D did not arrive: the queue does not go on without [`Motion::stop`].
+    CdFailed {
+        /// Why.
+        error: CdError,
+    },
+    /// The commands before have ended: [`Motion::status_cd`] is asked for.
+    StatusCd,
     /// A stop input changed.
     StopInput {
         /// Whether the stop is demanded.
@@ -224,8 +244,14 @@ pub struct Motion<'m, B: StepBackend> {
     extended_commands: u64,
     drive: Option<Drive>,
     homing: Option<Homing>,
+    cd: Option<Cd>,
+    /// A command that waits for rest runs: homing, C or D.
+    station: bool,
     homes: [Option<HomeConfig>; CHANNELS],
-    homed: [bool; CHANNELS],
+    /// Position = frame + played steps, as it was when the axis was homed, whatever was renamed
+    /// since; `None`: it is not homed.
+    frames_steps: [Option<i64>; CHANNELS],
+    soft_limits: [Option<SoftLimits>; CHANNELS],
     inputs: Inputs,
     switches: [Switches; CHANNELS],
     /// A limit was told, and nothing was stopped since.
@@ -297,6 +323,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             has(Switch::Min) || has(Switch::Max)
         };
         let has_limits = axes.take(CHANNELS).any(has_limit);
+        let cd = config.cd.map(|cd| {
+            assert!(backend.cd().is_some(), "the back end has no C and D");
+            Cd::new(cd, |role| inputs.is_active(role)).expect("it is checked")
+        });
         Self {
             ring,
             backend,
@@ -313,8 +343,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             extended_commands: 0,
             drive: None,
             homing: None,
+            cd,
+            station: false,
             homes: config.homes,
-            homed: [false; CHANNELS],
+            frames_steps: [None; CHANNELS],
+            soft_limits: config.soft_limits,
             inputs,
             switches,
             limit_told: false,
@@ -352,9 +385,12 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns what this firmware can do.
     pub fn features(&self) -> Features {
-        let features = Features::BASIC
+        let mut features = Features::BASIC
             .with(Features::RAMPS)
             .with(Features::BARRIERS);
+        if self.cd.is_some() {
+            features = features.with(Features::CD);
+        }
         let homes = (0..).map(AxisId).zip(&self.homes[..self.axis_count]);
         homes
             .filter(|(_, home)| home.is_some())
@@ -474,6 +510,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 return Some(MotionEvent::Fault(code));
             }
             self.pass_inputs();
+            self.pass_cd();
             if let Some(event) = self.told.pop_front() {
                 return Some(event);
             }
@@ -506,9 +543,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let due = self.inputs.poll_timeout();
             let until = due.map_or(now, |due| due.max(self.now).min(now));
             self.now = match self.phase {
-                Phase::Rest => self
-                    .alarm()
-                    .map_or(until, |alarm| alarm.max(self.now).min(until)),
+                Phase::Rest => {
+                    let alarm = self.alarm();
+                    self.service_cd(alarm.map_or(until, |alarm| alarm.max(self.now).min(until)))
+                }
                 Phase::Stopped => until,
                 Phase::Playing { .. } | Phase::Decelerating => self.backend.service(until),
             };
@@ -524,10 +562,15 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// change anything.
     pub fn poll_timeout(&self) -> Option<Ticks> {
         let told = (!self.told.is_empty()).then_some(self.now);
-        [self.phase_timeout(), self.inputs.poll_timeout(), told]
-            .into_iter()
-            .flatten()
-            .min()
+        [
+            self.phase_timeout(),
+            self.inputs.poll_timeout(),
+            self.cd_timeout(),
+            told,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 
     fn phase_timeout(&self) -> Option<Ticks> {
@@ -536,10 +579,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             // Its end depends on what the hardware still holds.
             Phase::Decelerating => Some(self.now.plus(1_000 * TICKS_PER_US)),
             Phase::Rest | Phase::Playing { .. } => {
-                let event = self
-                    .marks
-                    .iter()
-                    .find(|mark| matches!(mark.what, What::Laser { .. } | What::Lidar));
+                let event = self.marks.iter().find(|mark| mark.what.tells());
                 let end = match self.phase {
                     Phase::Playing { timeline } if self.now < timeline => Some(timeline),
                     Phase::Playing { timeline } => {
@@ -561,7 +601,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
                 // A drive or a resumption begins with the next call.
                 let begins = matches!(self.hold, Hold::Resuming(_))
-                    || self.drive.is_some_and(|drive| drive.next.is_some() && !self.is_held());
+                    || self
+                        .drive
+                        .is_some_and(|drive| drive.next.is_some() && !self.is_held());
                 let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
                 marks
                     .chain(end)
@@ -586,7 +628,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     missed = Some(event);
                     break;
                 }
-                MotionEvent::HomeFailed { .. } | MotionEvent::StopInput { .. } => {
+                MotionEvent::HomeFailed { .. }
+                | MotionEvent::CdFailed { .. }
+                | MotionEvent::StopInput { .. } => {
                     missed = Some(event);
                     break;
                 }
@@ -608,6 +652,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
         missed.into_iter().for_each(|event| self.tell(event));
         self.homing = None;
+        self.station = false;
+        self.halt_cd();
         match (self.phase, mode) {
             (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
             (Phase::Rest, _) => self.end_stop(),
@@ -647,6 +693,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     return Some(MotionEvent::Laser { power_percent });
                 }
                 What::Lidar => return Some(MotionEvent::LidarRequest),
+                What::StatusCd => return Some(MotionEvent::StatusCd),
             }
         }
         None
@@ -780,6 +827,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let counted_steps = self.backend.counted_steps(axis).unwrap_or(ledger_steps);
             let miscount = counted_steps - ledger_steps;
             if mem::replace(&mut self.miscounts_steps[index], miscount) != miscount {
+                // Nobody knows where the axis is.
+                self.frames_steps[index] = None;
                 return Some(MotionEvent::Miscount {
                     axis,
                     ledger_steps,
@@ -1011,6 +1060,16 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Returns the way of a ramp or a line and how many steps of its ramp it jumps over; `None`
     /// for other commands and where there is no way to go.
     fn line_of(&self, command: &Command) -> Option<(Line, u16)> {
+        self.line_from(command, &self.planned_steps, &self.planned_origins_steps)
+    }
+
+    /// The same from these steps since boot and origins.
+    fn line_from(
+        &self,
+        command: &Command,
+        from_steps: &[i64; CHANNELS],
+        origins_steps: &[i64; CHANNELS],
+    ) -> Option<(Line, u16)> {
         let ramp = |axis: AxisId, steps: i64, ramp: Ramp| {
             if steps == 0 {
                 return None;
@@ -1040,8 +1099,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 ramp: how,
             } => {
                 let index = usize::from(axis.0);
-                let origin = self.planned_origins_steps[index];
-                let here = origin.wrapping_add(self.planned_steps[index]);
+                let here = origins_steps[index].wrapping_add(from_steps[index]);
                 let way = i128::from(position_steps) - i128::from(here);
                 let way = way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX);
                 ramp(axis, way as i64, how)
@@ -1072,6 +1130,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         let what = match *command {
             Command::Laser { power_percent } => What::Laser { power_percent },
             Command::LidarRead => What::Lidar,
+            Command::StatusCd => What::StatusCd,
             Command::SetPosition {
                 axis,
                 position_steps,
@@ -1114,13 +1173,22 @@ fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Lin
 
 /// Returns whether a command begins only when all before it has ended.
 fn waits_for_rest(command: &Command) -> bool {
-    matches!(command, Command::Barrier { .. } | Command::Home { .. })
+    matches!(
+        command,
+        Command::Barrier { .. }
+            | Command::Home { .. }
+            | Command::MoveC { .. }
+            | Command::MoveD { .. }
+    )
 }
 
 fn takes_no_time(command: &Command) -> bool {
     matches!(
         command,
-        Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
+        Command::Laser { .. }
+            | Command::LidarRead
+            | Command::SetPosition { .. }
+            | Command::StatusCd
     )
 }
 

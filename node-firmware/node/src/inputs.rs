@@ -3,9 +3,10 @@
 //! Owns the wording. A limit stops by [`StopReason::Limit`]: its own fault, its own latch. Homing
 //! that fails is a fault like any other. A stop input is the stop pin, from wherever it is told.
 
-use crate::{Node, Outputs, local_from_ticks};
+use crate::{Node, Outputs, local_from_ticks, outbox::Line};
+use core::fmt::Write;
 use keys::{AxisId, LocalMicros, StopMode, StopReason, status::FaultCode};
-use motion::{LimitHit, StepBackend, io::home::HomeError};
+use motion::{CdError, LimitHit, StepBackend, io::home::HomeError};
 
 impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// The stop is demanded, or no longer.
@@ -54,6 +55,23 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             format_args!("axis {}: {error}; it is at {position_steps}", axis.0),
         );
         self.begin_stop(StopReason::Fault, StopMode::Halt, now);
+    }
+
+    /// C or D is not where it was sent.
+    pub(crate) fn fail_cd(&mut self, error: CdError, now: LocalMicros) {
+        self.note_fault(FaultCode::NOT_THERE, now);
+        self.log(now, format_args!("{error}"));
+        self.begin_stop(StopReason::Fault, StopMode::Halt, now);
+    }
+
+    /// Says where C and D are.
+    pub(crate) fn tell_status_cd(&mut self, now: LocalMicros) {
+        let mut text = Line::new();
+        if let Some(status) = self.motion.status_cd()
+            && write!(text, "{status}").is_ok()
+        {
+            self.log(now, format_args!("{text}"));
+        }
     }
 
     /// The probe touched, or no longer: where everything was is in the log.

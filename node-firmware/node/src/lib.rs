@@ -433,6 +433,8 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     position_steps,
                     error,
                 } => self.fail_homing(axis, position_steps, error, now),
+                MotionEvent::CdFailed { error } => self.fail_cd(error, now),
+                MotionEvent::StatusCd => self.tell_status_cd(now),
                 MotionEvent::StopInput { active } => self.take_stop_pin(active, now),
                 MotionEvent::Probe {
                     active,

@@ -18,7 +18,9 @@ impl Judge<'_> {
         let mut before = 0;
         for event in edges {
             let at = event.at_ticks;
-            let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin;
+            let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin else {
+                continue;
+            };
             if at < before {
                 self.wrong(at, "the record is not in order of time".to_owned());
             }
@@ -56,7 +58,7 @@ impl Judge<'_> {
                     bad[0] = demand("high time", since(line.rose_at), least);
                     line.fell_at = Some(at);
                 }
-                Pin::Direction(_) => {
+                _ => {
                     if line.level {
                         bad[0] = Some("it turns while a step is high".to_owned());
                     }

@@ -89,6 +89,11 @@ impl Bench {
         self.lines.extend(lines.map(|line| text(&line.payload)));
     }
 
+    pub(crate) fn run_for(&mut self, us: u64) {
+        let at = self.now.0 + us;
+        self.run_until(at);
+    }
+
     pub(crate) fn run_to_rest(&mut self) {
         let mut wakes = 0u32;
         while self.node.status().executed_commands < self.job_end {

@@ -184,7 +184,7 @@ impl<B: StepBackend> Motion<'_, B> {
             What::Origin {
                 axis, before_steps, ..
             } => self.planned_origins_steps[usize::from(axis.0)] = before_steps,
-            What::Rest | What::Laser { .. } | What::Lidar => {}
+            What::Rest | What::Laser { .. } | What::Lidar | What::StatusCd => {}
         }
     }
 }

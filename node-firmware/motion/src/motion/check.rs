@@ -1,12 +1,16 @@
 //! What can be executed here, asked before a command is taken.
 
-use super::Motion;
+use super::{Beyond, Motion};
 use crate::{
     StepBackend,
+    io::named::GotoError,
     limits::TICK_HZ,
     planner::{runs_of, ticks_of},
 };
-use keys::{AxisId, Command, command::RampShape};
+use keys::{
+    AxisId, Command,
+    command::{POSITION_C_MAX, RampShape},
+};
 
 /// Why a command cannot be executed here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +32,15 @@ pub enum CommandError {
     TooLong,
     /// A value out of range.
     Range,
+    /// C has no such position.
+    PositionC,
+    /// An axis would leave its soft limits.
+    Beyond {
+        /// The axis.
+        axis: AxisId,
+        /// Where to.
+        beyond: Beyond,
+    },
 }
 
 impl CommandError {
@@ -53,6 +66,8 @@ impl core::fmt::Display for CommandError {
             Self::Nothing => write!(f, "no steps, or no time between them"),
             Self::TooLong => write!(f, "it would take thousands of years"),
             Self::Range => write!(f, "a value is out of range"),
+            Self::PositionC => GotoError::Position.fmt(f),
+            Self::Beyond { axis, beyond } => write!(f, "axis {} would move {beyond}", axis.0),
         }
     }
 }
@@ -85,6 +100,9 @@ impl<B: StepBackend> Motion<'_, B> {
             }
             Command::Laser { power_percent } if power_percent > 100 => {
                 return Err(CommandError::Range);
+            }
+            Command::MoveC { index } if index > POSITION_C_MAX => {
+                return Err(CommandError::PositionC);
             }
             _ => {}
         }

@@ -1,10 +1,12 @@
 //! What a node's axes, inputs and outputs are; checked before anything is built on it.
 
+use super::{ConfigCd, SoftLimits};
 use crate::{
     AxisProfile,
     io::{
         home::{HomeConfig, HomeConfigError},
         input::{InputMap, MapError, Role, Switch},
+        named::{NamedConfigError, PositionsC, SwitchD},
     },
     limits::{CHANNELS, TICK_HZ},
     profile::Timing,
@@ -25,6 +27,10 @@ pub struct MotionConfig {
     pub input_levels: u32,
     /// How the axes are homed that can be.
     pub homes: [Option<HomeConfig>; CHANNELS],
+    /// How far the axes may go that have limits.
+    pub soft_limits: [Option<SoftLimits>; CHANNELS],
+    /// C and D, of a node that has them.
+    pub cd: Option<ConfigCd>,
     /// How an axis stops that comes to a limit switch.
     pub limit_stop: StopMode,
     /// How everything stops when the probe touches; `None`: it is only noted where.
@@ -40,6 +46,8 @@ impl Default for MotionConfig {
             inputs: InputMap::EMPTY,
             input_levels: 0,
             homes: [None; CHANNELS],
+            soft_limits: [None; CHANNELS],
+            cd: None,
             limit_stop: StopMode::Halt,
             probe_stop: None,
         }
@@ -67,6 +75,22 @@ pub enum ConfigError {
         /// Its switch.
         switch: Switch,
     },
+    /// C cannot move like this.
+    C(NamedConfigError),
+    /// D cannot move like this.
+    D(NamedConfigError),
+    /// D counts on a limit that is no input, or has one that it does not count on.
+    LimitOfD(Switch),
+    /// An axis has soft limits between which there is nothing.
+    SoftLimits {
+        /// The axis.
+        axis: AxisId,
+    },
+    /// An axis has soft limits that count once it is homed, and cannot be homed.
+    NeverHomed {
+        /// The axis.
+        axis: AxisId,
+    },
     /// An axis is homed faster than its driver can step.
     HomeTooFast {
         /// The axis.
@@ -87,6 +111,25 @@ impl fmt::Display for ConfigError {
                     f,
                     "axis {}: homing needs its {switch}, which is no input",
                     axis.0
+                )
+            }
+            Self::C(error) => write!(f, "C: {error}"),
+            Self::D(error) => write!(f, "D: {error}"),
+            Self::LimitOfD(switch) => {
+                write!(
+                    f,
+                    "D: its configuration and the inputs disagree about its {switch}"
+                )
+            }
+            Self::SoftLimits { axis } => {
+                let axis = axis.0;
+                write!(f, "axis {axis}: there is nothing between its soft limits")
+            }
+            Self::NeverHomed { axis } => {
+                let axis = axis.0;
+                write!(
+                    f,
+                    "axis {axis}: its soft limits need a home, or count from boot on"
                 )
             }
             Self::HomeTooFast { axis, hz_max } => {
@@ -128,6 +171,28 @@ impl MotionConfig {
                     axis,
                     hz_max: hz_max as u32,
                 });
+            }
+        }
+        for (index, limits) in self.soft_limits[..self.axis_count].iter().enumerate() {
+            let Some(limits) = limits else { continue };
+            let axis = AxisId(index as u8);
+            if limits.min_steps >= limits.max_steps {
+                return Err(ConfigError::SoftLimits { axis });
+            }
+            if !limits.from_boot && self.homes[index].is_none() {
+                return Err(ConfigError::NeverHomed { axis });
+            }
+        }
+        self.check_cd()
+    }
+
+    fn check_cd(&self) -> Result<(), ConfigError> {
+        let Some(cd) = self.cd else { return Ok(()) };
+        PositionsC::new(cd.c).map_err(ConfigError::C)?;
+        SwitchD::new(cd.d).map_err(ConfigError::D)?;
+        for (switch, has) in [(Switch::Min, cd.d.has_min), (Switch::Max, cd.d.has_max)] {
+            if self.inputs.has(Role::D(switch)) != has {
+                return Err(ConfigError::LimitOfD(switch));
             }
         }
         Ok(())
@@ -186,6 +251,21 @@ mod tests {
         assert_eq!(
             wrong(|config| config.inputs = InputMap::EMPTY),
             "axis 1: homing needs its min limit, which is no input"
+        );
+        let limits = |min_steps, max_steps| SoftLimits {
+            min_steps,
+            max_steps,
+            from_boot: false,
+        };
+        let mut narrow = config();
+        narrow.soft_limits[1] = Some(limits(5, 5));
+        let error = narrow.check().expect_err("wrong").to_string();
+        assert_eq!(error, "axis 1: there is nothing between its soft limits");
+        narrow.soft_limits = [Some(limits(0, 5)), None, None, None];
+        let error = narrow.check().expect_err("wrong").to_string();
+        assert_eq!(
+            error,
+            "axis 0: its soft limits need a home, or count from boot on"
         );
         let home = |change: fn(&mut HomeConfig)| {
             let mut config = config();

@@ -119,6 +119,12 @@ impl core::fmt::Display for DriveError {
 
 impl core::error::Error for DriveError {}
 
+impl From<CommandError> for DriveError {
+    fn from(error: CommandError) -> Self {
+        Self::Command(error)
+    }
+}
+
 /// One axis that is driven.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
@@ -145,28 +151,41 @@ const WAY_STEPS_MAX: i128 = 1 << 61;
 impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
     /// and target, without a stop where physics allows. [`MotionEvent::DriveEnded`] tells that it
-    /// rests. The queue waits meanwhile.
+    /// rests. The queue waits meanwhile. Soft limits hold it inside: it comes to rest on them.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
     pub fn drive(&mut self, axis: AxisId, target: Target, how: Course) -> Result<(), DriveError> {
-        if self.homing.is_some() {
+        if self.station {
             return Err(DriveError::Busy);
         }
-        self.begin_drive(axis, target, how)
+        if usize::from(axis.0) >= self.axis_count {
+            return Err(DriveError::Command(CommandError::Axis(axis)));
+        }
+        let to_steps = self.target_of(axis, target);
+        let to_steps = self.held_inside(usize::from(axis.0), to_steps);
+        self.drive_to(axis, to_steps, how)
     }
 
-    /// The same, for homing too.
-    pub(super) fn begin_drive(
+    /// Where a target is, steps since boot.
+    pub(super) fn target_of(&self, axis: AxisId, target: Target) -> i64 {
+        let index = usize::from(axis.0);
+        match target {
+            Target::By(steps) => self.target_steps(index).saturating_add(steps),
+            Target::To(position) => position.wrapping_sub(self.planned_origins_steps[index]),
+            Target::Forever(Direction::Positive) => i64::MAX,
+            Target::Forever(Direction::Negative) => i64::MIN,
+        }
+    }
+
+    /// The same without regard to soft limits; the axis exists.
+    pub(super) fn drive_to(
         &mut self,
         axis: AxisId,
-        target: Target,
+        to_steps: i64,
         how: Course,
     ) -> Result<(), DriveError> {
         let index = usize::from(axis.0);
-        if index >= self.axis_count {
-            return Err(DriveError::Command(CommandError::Axis(axis)));
-        }
         how.check(self.timing[index].interval_ticks_min())
             .map_err(DriveError::Command)?;
         let free = match self.drive {
@@ -176,12 +195,6 @@ impl<B: StepBackend> Motion<'_, B> {
         if !free || !matches!(self.hold, Hold::None) || self.is_stopping() {
             return Err(DriveError::Busy);
         }
-        let to_steps = match target {
-            Target::By(steps) => self.target_steps(index).saturating_add(steps),
-            Target::To(position) => position.wrapping_sub(self.planned_origins_steps[index]),
-            Target::Forever(Direction::Positive) => i64::MAX,
-            Target::Forever(Direction::Negative) => i64::MIN,
-        };
         let next = Some(Leg { to_steps, how });
         let due = self.drive.is_some();
         let ending = self.drive.is_some_and(|drive| drive.ending);

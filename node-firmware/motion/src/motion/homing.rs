@@ -4,7 +4,7 @@
 //! Owns what happens between [`HomeMachine`] and the axis. Held, it waits where it is: what the
 //! machine wants meanwhile is done afterwards, but for a halt, which is done at once.
 
-use super::{Course, Hold, Motion, MotionEvent, Phase, Target, What, marks::Mark};
+use super::{Course, Hold, Motion, MotionEvent, Phase, Target};
 use crate::{
     StepBackend,
     io::home::{HomeEffect, HomeError, HomeEvent, HomeMachine},
@@ -26,10 +26,10 @@ impl<B: StepBackend> Motion<'_, B> {
         self.homing.map(|homing| homing.axis)
     }
 
-    /// Returns whether this axis was homed since boot.
+    /// Returns whether this axis was homed since boot, and its counter agrees.
     pub fn is_homed(&self, axis: AxisId) -> bool {
-        let homed = self.homed.get(usize::from(axis.0));
-        homed.copied().unwrap_or(false)
+        let frame = self.frames_steps.get(usize::from(axis.0));
+        frame.copied().flatten().is_some()
     }
 
     /// Begins a command that only runs when all else rests, if one is at the head of the queue.
@@ -37,8 +37,20 @@ impl<B: StepBackend> Motion<'_, B> {
         if !self.is_at_head() {
             return;
         }
-        if let Some(Command::Home { axis }) = self.ring.peek() {
-            self.begin_homing(axis);
+        let next = self.ring.peek();
+        self.station = true;
+        match next {
+            Some(Command::Home { axis }) => self.begin_homing(axis),
+            Some(Command::MoveC { index }) => self.begin_c(index),
+            Some(Command::MoveD { on }) => self.begin_d(on),
+            _ => self.station = false,
+        }
+        let first_edge_at = self.now;
+        if let Some(start) = self.start.as_mut()
+            && self.station
+        {
+            // What moves now is not what was to start together with others.
+            start.first_edge_at.get_or_insert(first_edge_at);
         }
     }
 
@@ -53,7 +65,7 @@ impl<B: StepBackend> Motion<'_, B> {
             machine,
             waiting: None,
         });
-        self.homed[index] = false;
+        self.frames_steps[index] = None;
         self.handle_homing(HomeEvent::Begin {
             position_steps: self.position_steps(axis),
             switches: self.switches[index],
@@ -86,7 +98,8 @@ impl<B: StepBackend> Motion<'_, B> {
             } => {
                 homing.waiting = None;
                 let how = Course::hz(speed_hz, accel_hz_per_s);
-                if self.begin_drive(axis, Target::To(to_steps), how).is_err() {
+                let to_steps = self.target_of(axis, Target::To(to_steps));
+                if self.drive_to(axis, to_steps, how).is_err() {
                     // Only a stop can be in the way, and that ends it.
                     self.fail_homing(axis, HomeError::Canceled);
                 }
@@ -100,12 +113,8 @@ impl<B: StepBackend> Motion<'_, B> {
             HomeEffect::SetPosition(position_steps) => self.name_place(index, position_steps),
             HomeEffect::Done => {
                 self.homing = None;
-                self.homed[index] = true;
-                self.ring.advance();
-                self.marks.push(Mark {
-                    end: self.now,
-                    what: What::Rest,
-                });
+                self.frames_steps[index] = Some(self.origins_steps[index]);
+                self.end_station();
                 let position_steps = self.position_steps(axis);
                 self.tell(MotionEvent::Homed {
                     axis,

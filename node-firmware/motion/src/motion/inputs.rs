@@ -59,7 +59,8 @@ impl<B: StepBackend> Motion<'_, B> {
                     self.watch_limits();
                 }
             }
-            Role::C(_) | Role::D(_) => {}
+            Role::C(switch) => self.limit_c(switch, active),
+            Role::D(switch) => self.limit_d(switch, active),
             Role::Stop => self.tell(MotionEvent::StopInput { active }),
             Role::Probe => {
                 let positions_steps =
@@ -139,12 +140,16 @@ impl<B: StepBackend> Motion<'_, B> {
         true
     }
 
-    /// Returns the axis that a command would move further into a pressed limit.
+    /// Returns the axis that a command would move further into a pressed limit, or out of its soft
+    /// limits.
     fn blocked(&self, command: &Command) -> Option<(AxisId, LimitHit)> {
         if self.is_stopping() {
             return None;
         }
-        let steps = self.steps_of(command);
+        let steps = self.steps_from(command, &self.planned_steps, &self.planned_origins_steps);
+        if let Some(reached) = self.reach_of(&steps) {
+            return Some(reached);
+        }
         (0..self.axis_count).find_map(|index| {
             let way = steps[index];
             if way == 0 {
@@ -155,14 +160,19 @@ impl<B: StepBackend> Motion<'_, B> {
             // What is planned before may lead away from it.
             let ahead_steps = self.planned_steps[index] - self.backend.played_steps(axis);
             let leaves_first = ahead_steps.signum() == -way.signum();
-            let command = self.executed_commands + self.marks.iter().count() as u64;
+            let command = self.next_command();
             (!leaves_first).then_some((axis, LimitHit::Blocked { command, switch }))
         })
     }
 
-    /// Returns how far a command moves each axis from where it begins.
-    pub(super) fn steps_of(&self, command: &Command) -> [i64; CHANNELS] {
-        if let Some((line, _)) = self.line_of(command) {
+    /// Returns how far a command moves each axis from these steps since boot.
+    pub(super) fn steps_from(
+        &self,
+        command: &Command,
+        from_steps: &[i64; CHANNELS],
+        origins_steps: &[i64; CHANNELS],
+    ) -> [i64; CHANNELS] {
+        if let Some((line, _)) = self.line_from(command, from_steps, origins_steps) {
             return line.steps;
         }
         let mut steps = [0; CHANNELS];
@@ -170,6 +180,11 @@ impl<B: StepBackend> Motion<'_, B> {
             steps[usize::from(run.axis.0)] = i64::from(run.steps);
         }
         steps
+    }
+
+    /// Number of the command at the head of the queue.
+    pub(super) fn next_command(&self) -> u64 {
+        self.executed_commands + self.marks.iter().count() as u64
     }
 
     /// Keeps an event for the next [`Motion::poll`].
@@ -183,7 +198,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.phase == Phase::Rest
             && self.marks.front().is_none()
             && self.drive.is_none()
-            && self.homing.is_none()
+            && !self.station
             && matches!(self.hold, Hold::None)
     }
 }
