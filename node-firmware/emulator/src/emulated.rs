@@ -8,7 +8,7 @@ use crate::{
     config::{EmulatorConfig, Recording},
     machine::Machine,
     memory::RingMemory,
-    pins::Pin,
+    pins::{Pin, PinEvent},
     pulse::VirtualRmt,
     record::{Life, TakenCommand},
     vcd::VcdWriter,
@@ -16,7 +16,10 @@ use crate::{
 use keys::{
     AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
 };
-use motion::{MotionConfig, StepBackend, TICKS_PER_US, Ticks, io::input::PinLevel};
+use motion::{
+    MotionConfig, StepBackend, TICKS_PER_US, Ticks,
+    io::{enable::OutputChange, input::PinLevel},
+};
 use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
 use std::{
     io::{self, Write},
@@ -41,6 +44,7 @@ pub const PAST_LIVES_MAX: usize = 64;
 pub struct Bench {
     laser_percent: u8,
     lidar_requested: bool,
+    enables: Vec<PinEvent>,
 }
 
 impl Bench {
@@ -57,6 +61,14 @@ impl Outputs for Bench {
 
     fn request_lidar(&mut self) {
         self.lidar_requested = true;
+    }
+
+    fn set_enable(&mut self, change: OutputChange, at: Ticks) {
+        self.enables.push(PinEvent {
+            at_ticks: at.0,
+            pin: Pin::Enable(change.output as u8),
+            level: change.levels()[1],
+        });
     }
 }
 
@@ -77,7 +89,7 @@ pub struct EmulatedNode {
     lidar_readings: u64,
     commands: Vec<TakenCommand>,
     stops: Vec<keys::StopReport>,
-    edges: Vec<crate::pins::PinEvent>,
+    edges: Vec<PinEvent>,
     inputs: Vec<PinLevel>,
     cut: bool,
     past: Vec<Life>,
@@ -142,6 +154,8 @@ impl EmulatedNode {
         if self.config.motion.cd.is_some() {
             pins.extend([Pin::StepC, Pin::DirectionC, Pin::StepD, Pin::DirectionD]);
         }
+        let enables = 0..self.config.motion.enables.len();
+        pins.extend(enables.map(|output| Pin::Enable(output as u8)));
         let vcd = VcdWriter::new(out, &self.config.name, pins)?;
         self.vcd = Some(vcd);
         self.node.motion_mut().backend_mut().record_edges(true);
@@ -319,7 +333,7 @@ impl EmulatedNode {
     }
 
     /// Returns the changes of pins that were recorded since this boot.
-    pub fn edges(&self) -> &[crate::pins::PinEvent] {
+    pub fn edges(&self) -> &[PinEvent] {
         &self.edges
     }
 
@@ -457,6 +471,11 @@ impl EmulatedNode {
         let from = self.edges.len();
         self.edges
             .extend(self.node.motion_mut().backend_mut().take_edges());
+        if self.watches_pins() {
+            self.edges.append(&mut self.node.outputs_mut().enables);
+        } else {
+            self.node.outputs_mut().enables.clear();
+        }
         // Axes play one after the other within one call.
         self.edges[from..].sort_by_key(|event| event.at_ticks);
     }
@@ -485,6 +504,10 @@ impl EmulatedNode {
         if self.inputs.len() < self.recorded_max() {
             self.inputs.push(level);
         }
+    }
+
+    fn watches_pins(&self) -> bool {
+        self.vcd.is_some() || self.recorded_max() > 0
     }
 
     fn recorded_max(&self) -> usize {

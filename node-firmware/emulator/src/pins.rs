@@ -10,6 +10,8 @@ pub enum Pin {
     Step(AxisId),
     /// Direction output of an axis: high is positive.
     Direction(AxisId),
+    /// High-active pin of an enable output; the low-active one is its opposite.
+    Enable(u8),
     /// Step output of C.
     StepC,
     /// Direction output of C: high is positive.

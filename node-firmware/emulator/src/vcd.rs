@@ -96,6 +96,7 @@ fn name(pin: Pin) -> String {
     match pin {
         Pin::Step(axis) => format!("step{}", axis.0),
         Pin::Direction(axis) => format!("dir{}", axis.0),
+        Pin::Enable(output) => format!("enable{output}"),
         Pin::StepC => "stepC".to_owned(),
         Pin::DirectionC => "dirC".to_owned(),
         Pin::StepD => "stepD".to_owned(),

@@ -60,6 +60,7 @@ pub mod path;
 pub mod profile;
 pub mod real;
 pub mod ring;
+pub mod scale;
 pub mod segment;
 pub mod symbol;
 

@@ -8,6 +8,7 @@ mod homing;
 mod inputs;
 mod marks;
 mod named;
+mod outputs;
 mod reach;
 
 pub use check::CommandError;
@@ -20,10 +21,12 @@ use drive::Drive;
 use homing::Homing;
 use marks::{Mark, Marks, What};
 use named::Cd;
+use outputs::Laser;
 
 use crate::{
     Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
     io::{
+        enable::{AxisSet, Enables, OutputChange},
         home::{HomeConfig, HomeError, Switches},
         input::{Inputs, Role, Switch},
     },
@@ -82,7 +85,8 @@ impl core::fmt::Display for LimitHit {
 /// What happened since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotionEvent {
-    /// The commands before have ended: the laser takes this power.
+    /// The commands before have ended, or motion is interrupted or goes on: the laser takes this
+    /// power.
     Laser {
         /// 0 to 100.
         power_percent: u8,
@@ -141,6 +145,8 @@ pub enum MotionEvent {
         /// Why.
         error: HomeError,
     },
+    /// An enable output switches.
+    Output(OutputChange),
     /// C or D did not arrive: the queue does not go on without [`Motion::stop`].
     CdFailed {
         /// Why.
@@ -245,6 +251,10 @@ pub struct Motion<'m, B: StepBackend> {
     drive: Option<Drive>,
     homing: Option<Homing>,
     cd: Option<Cd>,
+    laser: Laser,
+    enables: Enables,
+    /// When the drivers that were switched on let the queue begin.
+    enabled_at: Option<Ticks>,
     /// A command that waits for rest runs: homing, C or D.
     station: bool,
     homes: [Option<HomeConfig>; CHANNELS],
@@ -323,6 +333,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             has(Switch::Min) || has(Switch::Max)
         };
         let has_limits = axes.take(CHANNELS).any(has_limit);
+        let mut enables = Enables::new(&config.enables).expect("it is checked");
+        for output in config.enables.iter().filter(|output| !output.auto) {
+            enables.enable(output.axes, Ticks(0));
+        }
         let cd = config.cd.map(|cd| {
             assert!(backend.cd().is_some(), "the back end has no C and D");
             Cd::new(cd, |role| inputs.is_active(role)).expect("it is checked")
@@ -344,6 +358,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             drive: None,
             homing: None,
             cd,
+            laser: Laser::default(),
+            enables,
+            enabled_at: None,
             station: false,
             homes: config.homes,
             frames_steps: [None; CHANNELS],
@@ -529,6 +546,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.pass_station();
             self.pass_homing();
             self.plan();
+            if let Some(change) = self.enables.poll(self.now) {
+                return Some(MotionEvent::Output(change));
+            }
             if let Some(event) = self.pass_start() {
                 return Some(event);
             }
@@ -539,8 +559,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if self.now >= now {
                 return None;
             }
-            // An input counts at its own time.
-            let due = self.inputs.poll_timeout();
+            // An input counts at its own time, and so does a driver that is ready.
+            let inputs = self.inputs.poll_timeout();
+            let due = inputs.into_iter().chain(self.enables_timeout()).min();
             let until = due.map_or(now, |due| due.max(self.now).min(now));
             self.now = match self.phase {
                 Phase::Rest => {
@@ -566,6 +587,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.phase_timeout(),
             self.inputs.poll_timeout(),
             self.cd_timeout(),
+            self.enables_timeout(),
             told,
         ]
         .into_iter()
@@ -690,7 +712,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     self.origins_steps[usize::from(axis.0)] = origin_steps;
                 }
                 What::Laser { power_percent } => {
-                    return Some(MotionEvent::Laser { power_percent });
+                    if let Some(event) = self.set_laser(power_percent) {
+                        return Some(event);
+                    }
                 }
                 What::Lidar => return Some(MotionEvent::LidarRequest),
                 What::StatusCd => return Some(MotionEvent::StatusCd),
@@ -719,6 +743,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         match self.barrier {
             Barrier::Open => {
                 self.barrier = Barrier::Waiting;
+                self.withhold_laser();
+                // So that none of them delays the start.
+                self.enables.wants_motion(AxisSet::QUEUE, self.now);
                 Some(MotionEvent::AtBarrier { command })
             }
             Barrier::Waiting => None,
@@ -794,6 +821,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 self.settle_axes();
                 self.phase = Phase::Rest;
+                self.rest_enables();
                 if self.planner.is_unfinished() {
                     // The axes stood still in the middle of a path. Nothing goes on from there by
                     // itself.
@@ -808,6 +836,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 let waits = self.ring.peek().is_some_and(|next| waits_for_rest(&next));
                 if self.executed_commands < self.expected_commands && !waits {
+                    self.withhold_laser();
                     Some(MotionEvent::Underrun)
                 } else {
                     Some(MotionEvent::Rest)
@@ -893,6 +922,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.change_due = false;
         self.drive = None;
         self.homing = None;
+        self.laser = Laser::default();
+        self.rest_enables();
         self.limit_told = false;
         self.headings = [None; CHANNELS];
         for axis in 0..self.axis_count {
@@ -937,7 +968,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 break;
             }
             if let Hold::Resuming(split) = self.hold {
-                if self.phase != Phase::Rest {
+                if self.phase != Phase::Rest || !self.are_enabled(AxisSet::QUEUE, lead_ticks) {
                     break;
                 }
                 let at = self.now.max(self.quiet_at);
@@ -960,7 +991,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     break;
                 };
                 let appends = self.can_append(starts_at.is_some());
+                let enabled =
+                    self.phase != Phase::Rest || self.are_enabled(AxisSet::QUEUE, lead_ticks);
                 let begin = match self.phase {
+                    _ if !enabled => break,
                     Phase::Playing { timeline } if appends => timeline,
                     Phase::Rest => {
                         let at = self.now.max(self.quiet_at);
@@ -994,6 +1028,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 continue;
             }
             let takes_time = line.is_some() || ticks_of(&command).is_some_and(|ticks| ticks > 0);
+            let enabled = self.phase != Phase::Rest || !takes_time || {
+                let lead_ticks = self.resume_at.0.saturating_sub(self.now.0).max(lead_ticks);
+                self.are_enabled(AxisSet::QUEUE, lead_ticks)
+            };
             let begin = match self.phase {
                 Phase::Stopped => break,
                 Phase::Decelerating => Ticks(0),
@@ -1010,6 +1048,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     }
                     timeline
                 }
+                Phase::Rest if takes_time && !enabled => break,
                 Phase::Rest if takes_time => {
                     let at = self.now.max(self.quiet_at);
                     lead_ticks = self.resume_at.0.saturating_sub(at.0).max(self.lead_ticks);
@@ -1054,6 +1093,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if let Some(at) = starts_at {
             self.started_at = at;
             self.backend.start(at, lead_ticks);
+            if self.drive.is_none() {
+                self.give_laser_back();
+            }
         }
     }
 

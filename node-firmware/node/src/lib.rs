@@ -50,7 +50,7 @@ use keys::{
 };
 use motion::{
     CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks,
-    io::input::PinLevel,
+    io::{enable::OutputChange, input::PinLevel},
 };
 
 /// What to do when the link stays away while commands are executed.
@@ -139,6 +139,10 @@ pub trait Outputs {
 
     /// Asks for a lidar reading; it comes back as [`Inbound::Lidar`].
     fn request_lidar(&mut self);
+
+    /// Switches an enable output now, its low-active and its high-active pin; `at` is when motion
+    /// has asked for it.
+    fn set_enable(&mut self, change: OutputChange, at: Ticks);
 }
 
 /// The firmware minus hardware. See the crate for the picture.
@@ -433,6 +437,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     position_steps,
                     error,
                 } => self.fail_homing(axis, position_steps, error, now),
+                MotionEvent::Output(change) => {
+                    let at = self.motion.now();
+                    self.outputs.set_enable(change, at);
+                }
                 MotionEvent::CdFailed { error } => self.fail_cd(error, now),
                 MotionEvent::StatusCd => self.tell_status_cd(now),
                 MotionEvent::StopInput { active } => self.take_stop_pin(active, now),

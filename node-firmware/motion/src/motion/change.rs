@@ -86,6 +86,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Hold::None => self.hold = Hold::Slowing,
         }
         self.planner.hold(true);
+        self.withhold_laser();
         if now >= self.now {
             self.change_soon();
         }
@@ -123,6 +124,11 @@ impl<B: StepBackend> Motion<'_, B> {
                 self.change_soon();
             }
             Hold::None | Hold::Resuming(_) => {}
+        }
+        if let Phase::Playing { .. } = self.phase
+            && self.drive.is_none()
+        {
+            self.give_laser_back();
         }
     }
 

@@ -4,6 +4,7 @@ use super::{ConfigCd, SoftLimits};
 use crate::{
     AxisProfile,
     io::{
+        enable::{EnableConfig, EnableError, Enables, OUTPUTS_MAX},
         home::{HomeConfig, HomeConfigError},
         input::{InputMap, MapError, Role, Switch},
         named::{NamedConfigError, PositionsC, SwitchD},
@@ -29,6 +30,8 @@ pub struct MotionConfig {
     pub homes: [Option<HomeConfig>; CHANNELS],
     /// How far the axes may go that have limits.
     pub soft_limits: [Option<SoftLimits>; CHANNELS],
+    /// The enable outputs, by index. One that is not automatic is on from boot on.
+    pub enables: heapless::Vec<EnableConfig, OUTPUTS_MAX>,
     /// C and D, of a node that has them.
     pub cd: Option<ConfigCd>,
     /// How an axis stops that comes to a limit switch.
@@ -47,6 +50,7 @@ impl Default for MotionConfig {
             input_levels: 0,
             homes: [None; CHANNELS],
             soft_limits: [None; CHANNELS],
+            enables: heapless::Vec::new(),
             cd: None,
             limit_stop: StopMode::Halt,
             probe_stop: None,
@@ -75,6 +79,8 @@ pub enum ConfigError {
         /// Its switch.
         switch: Switch,
     },
+    /// The enable outputs.
+    Enables(EnableError),
     /// C cannot move like this.
     C(NamedConfigError),
     /// D cannot move like this.
@@ -113,6 +119,7 @@ impl fmt::Display for ConfigError {
                     axis.0
                 )
             }
+            Self::Enables(error) => error.fmt(f),
             Self::C(error) => write!(f, "C: {error}"),
             Self::D(error) => write!(f, "D: {error}"),
             Self::LimitOfD(switch) => {
@@ -183,6 +190,7 @@ impl MotionConfig {
                 return Err(ConfigError::NeverHomed { axis });
             }
         }
+        Enables::new(&self.enables).map_err(ConfigError::Enables)?;
         self.check_cd()
     }
 

@@ -7,7 +7,10 @@
 use super::{Course, Hold, Motion, MotionEvent, Phase, Target};
 use crate::{
     StepBackend,
-    io::home::{HomeEffect, HomeError, HomeEvent, HomeMachine},
+    io::{
+        enable::AxisSet,
+        home::{HomeEffect, HomeError, HomeEvent, HomeMachine},
+    },
 };
 use keys::{AxisId, Command, StopMode};
 
@@ -38,6 +41,14 @@ impl<B: StepBackend> Motion<'_, B> {
             return;
         }
         let next = self.ring.peek();
+        let beside = match next {
+            Some(Command::MoveC { .. }) => AxisSet::C,
+            Some(Command::MoveD { .. }) => AxisSet::D,
+            _ => AxisSet::NONE,
+        };
+        if !beside.is_empty() && !self.are_enabled(beside, 0) {
+            return;
+        }
         self.station = true;
         match next {
             Some(Command::Home { axis }) => self.begin_homing(axis),

@@ -9,6 +9,7 @@ use super::{Motion, MotionEvent, What, marks::Mark};
 use crate::{
     StepBackend, Ticks,
     io::{
+        enable::AxisSet,
         input::{Role, Switch},
         named::{
             ConfigC, ConfigD, EndD, GotoError, NamedConfigError, PositionsC, StatusCd, SwitchD,
@@ -226,6 +227,7 @@ impl<B: StepBackend> Motion<'_, B> {
         cd.going = None;
         cd.c.rest(cd.origin_steps + pins.counted_c());
         cd.d.stop();
+        self.enables.rests(AxisSet::C.with(AxisSet::D), self.now);
     }
 
     fn fail_cd(&mut self, error: CdError) {
@@ -235,6 +237,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// The command that ran while all else rested has ended.
     pub(super) fn end_station(&mut self) {
         self.station = false;
+        self.enables.rests(AxisSet::C.with(AxisSet::D), self.now);
         self.ring.advance();
         self.marks.push(Mark {
             end: self.now,

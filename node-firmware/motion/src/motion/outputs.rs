@@ -1,0 +1,103 @@
+//! Outputs that go with the motion: the laser, and the drivers' enable pins.
+//!
+//! The laser burns only where something moves on: a hold, a barrier and a queue that has run dry
+//! switch it off, and it comes back with the next pulses. The drivers of all axes of the queue are
+//! switched on together before the first of them steps, and the queue waits until the last one is
+//! ready.
+
+use super::{Motion, MotionEvent};
+use crate::{
+    StepBackend, Ticks,
+    io::enable::{AxisSet, Start},
+};
+use keys::Command;
+
+/// Power that the commands have asked for, and whether it is withheld.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Laser {
+    percent: u8,
+    withheld: bool,
+}
+
+impl<B: StepBackend> Motion<'_, B> {
+    /// A command sets the laser's power. While motion is held, it takes effect when it goes on.
+    pub(super) fn set_laser(&mut self, power_percent: u8) -> Option<MotionEvent> {
+        self.laser.percent = power_percent;
+        if self.is_held() {
+            self.laser.withheld = true;
+            return None;
+        }
+        self.laser.withheld = false;
+        Some(MotionEvent::Laser { power_percent })
+    }
+
+    /// What moved comes to rest although it is not at its end.
+    pub(super) fn withhold_laser(&mut self) {
+        if !self.laser.withheld {
+            self.laser.withheld = true;
+            if self.laser.percent > 0 {
+                self.tell(MotionEvent::Laser { power_percent: 0 });
+            }
+        }
+    }
+
+    /// The queue goes on.
+    pub(super) fn give_laser_back(&mut self) {
+        if self.laser.withheld {
+            self.laser.withheld = false;
+            if self.laser.percent > 0 {
+                let power_percent = self.laser.percent;
+                self.tell(MotionEvent::Laser { power_percent });
+            }
+        }
+    }
+
+    /// Switches on the drivers of these axes and returns whether they are ready to step by now. If
+    /// they are not, [`Motion::poll`] goes on when they are.
+    pub(super) fn are_enabled(&mut self, axes: AxisSet, lead_ticks: u64) -> bool {
+        let now = self.now;
+        match self.enables.wants_motion(axes, now) {
+            Start::At(at) if at.0 <= now.0 + lead_ticks => {
+                self.enabled_at = None;
+                true
+            }
+            Start::At(at) => {
+                self.enabled_at = Some(Ticks(at.0 - lead_ticks));
+                false
+            }
+            // Told by a confirmation, or by somebody who switches it on.
+            Start::Unconfirmed | Start::Disabled => false,
+        }
+    }
+
+    /// The axes of the queue rest: their drivers may go off after a while, unless it waits to go on
+    /// at once.
+    pub(super) fn rest_enables(&mut self) {
+        let waits = matches!(self.ring.peek(), Some(Command::Barrier { .. }));
+        if !waits {
+            self.enables.rests(AxisSet::QUEUE, self.now);
+        }
+        self.enabled_at = None;
+    }
+
+    /// Switches on the drivers of these axes until [`Motion::disable`], whatever rests.
+    pub fn enable(&mut self, axes: AxisSet) {
+        self.enables.enable(axes, self.now);
+    }
+
+    /// Switches off the drivers of these axes. Returns whether it did: not while one of them moves.
+    pub fn disable(&mut self, axes: AxisSet) -> bool {
+        self.enables.disable(axes).is_ok()
+    }
+
+    /// An enable output behind a shift register shows what it was told last.
+    pub fn confirm_enable(&mut self, output: usize) {
+        self.enables.confirm(output, self.now);
+    }
+
+    /// Returns when an enable output changes or lets motion begin.
+    pub(super) fn enables_timeout(&self) -> Option<Ticks> {
+        let at = self.enabled_at.map(|at| at.max(self.now));
+        at.into_iter().chain(self.enables.poll_timeout()).min()
+    }
+}
