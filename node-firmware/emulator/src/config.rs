@@ -186,6 +186,12 @@ impl EmulatorConfig {
         self.motion_config().check()
     }
 
+    /// The axes whose direction pin is low for positive.
+    pub(crate) fn inverted(&self) -> Vec<bool> {
+        let axes = self.motion.axes[..self.axis_count].iter();
+        axes.map(|axis| axis.direction_inverted).collect()
+    }
+
     /// What the oracle knows of the homes.
     pub(crate) fn home_facts(&self) -> Vec<HomeFacts> {
         let motion = self.motion_config();

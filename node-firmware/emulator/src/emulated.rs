@@ -121,7 +121,11 @@ impl EmulatedNode {
             let input = config.motion.inputs.get(input);
             input.is_some_and(|input| input.active_low)
         };
-        let machine = Machine::new(config.machine.clone(), is_active_low, config.seed);
+        let inverted = std::array::from_fn(|carriage| {
+            let axis = config.motion.axes.get(carriage);
+            axis.is_some_and(|axis| axis.direction_inverted)
+        });
+        let machine = Machine::new(config.machine.clone(), is_active_low, inverted, config.seed);
         Self {
             node: boot_node(&memory, &config, machine.levels(), boot, 0),
             memory,
@@ -347,6 +351,8 @@ impl EmulatedNode {
             edges: self.edges.clone(),
             inputs: self.inputs.clone(),
             homes: self.config.home_facts(),
+            inverted: self.config.inverted(),
+            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: self.cut,
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -374,6 +380,8 @@ impl EmulatedNode {
             edges: mem::take(&mut self.edges),
             inputs: mem::take(&mut self.inputs),
             homes: self.config.home_facts(),
+            inverted: self.config.inverted(),
+            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),
             status: self.status(),

@@ -59,6 +59,8 @@ pub(crate) struct Machine {
     /// Steps since the node's boot, as its pulse counters show them.
     counted_steps: [i64; CARRIAGES],
     positive: [bool; CARRIAGES],
+    /// Carriages whose direction pin is low for positive.
+    inverted: [bool; CARRIAGES],
     pressed: Vec<bool>,
     contacts: VecDeque<Contact>,
     random: u64,
@@ -69,6 +71,7 @@ impl Machine {
     pub(crate) fn new(
         config: MachineConfig,
         active_low: impl Fn(usize) -> bool,
+        inverted: [bool; CARRIAGES],
         seed: u64,
     ) -> Self {
         let pressed = config.switches.iter();
@@ -85,7 +88,8 @@ impl Machine {
                 .map(|switch| active_low(switch.input))
                 .collect(),
             counted_steps: [0; CARRIAGES],
-            positive: [false; CARRIAGES],
+            positive: inverted,
+            inverted,
             contacts: VecDeque::new(),
             random: splitmix(seed),
             config,
@@ -103,7 +107,7 @@ impl Machine {
             *start += *counted;
             *counted = 0;
         }
-        self.positive = [false; CARRIAGES];
+        self.positive = self.inverted;
         self.contacts.clear();
     }
 
@@ -153,7 +157,7 @@ impl Machine {
         for edge in edges {
             self.pass_contacts(edge.at_ticks, &mut levels);
             if let Some(carriage) = edge.pin.turned_carriage() {
-                self.positive[carriage] = edge.level;
+                self.positive[carriage] = edge.level != self.inverted[carriage];
             }
             if let Some(carriage) = edge.pin.stepped_carriage().filter(|_| edge.level) {
                 self.counted_steps[carriage] += if self.positive[carriage] { 1 } else { -1 };
@@ -250,7 +254,7 @@ mod tests {
             bounce_us_max,
             ..MachineConfig::default()
         };
-        Machine::new(config, |_| true, 1)
+        Machine::new(config, |_| true, [false; CARRIAGES], 1)
     }
 
     /// Steps of axis 1, one each 100 ticks from `at` on.

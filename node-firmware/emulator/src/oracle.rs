@@ -273,6 +273,8 @@ struct Judge<'l> {
     lost: bool,
     inputs: &'l [PinLevel],
     homes: &'l [HomeFacts],
+    inverted: &'l [bool],
+    lidar_waits: bool,
     /// Nothing of what is still to be read leaves before this, ticks.
     not_before: u64,
 }
@@ -288,6 +290,8 @@ impl<'l> Judge<'l> {
             lost: false,
             inputs: &life.inputs,
             homes: &life.homes,
+            inverted: &life.inverted,
+            lidar_waits: life.lidar_waits,
             not_before: 0,
         }
     }

@@ -71,7 +71,10 @@ struct Channel {
     /// Words of this half were played again before their refill came.
     stale: bool,
     level: bool,
+    /// Level of the direction pin.
     direction: bool,
+    /// It is low for positive.
+    inverted: bool,
     /// The pulse counter: active edges with sign.
     counted_steps: i64,
 }
@@ -130,6 +133,7 @@ impl Channel {
             stale: false,
             level: false,
             direction: false,
+            inverted: false,
             counted_steps: 0,
         }
     }
@@ -140,13 +144,14 @@ impl Channel {
         }
         self.level = level;
         if level {
-            self.counted_steps += if self.direction { 1 } else { -1 };
+            let positive = self.direction != self.inverted;
+            self.counted_steps += if positive { 1 } else { -1 };
         }
         scope.note(at, Pin::Step(scope.axis), level);
     }
 
-    fn turn(&mut self, at: u64, direction: Direction, scope: &mut Scope<'_>) {
-        let level = direction == Direction::Positive;
+    fn turn(&mut self, at: u64, level: bool, inverted: bool, scope: &mut Scope<'_>) {
+        self.inverted = inverted;
         if level != self.direction {
             self.direction = level;
             scope.note(at, Pin::Direction(scope.axis), level);
@@ -309,9 +314,16 @@ impl VirtualRmt {
             self.lapped = true;
             return Some(refill.at);
         }
-        let fill = self.axes[index].fill(refill.half);
+        let axis = &mut self.axes[index];
+        let fill = axis.fill(refill.half);
         if let Some(direction) = fill.turn {
-            channel.turn(refill.at, direction, &mut scope);
+            let inverted = !axis.direction_level(Direction::Positive);
+            channel.turn(
+                refill.at,
+                axis.direction_level(direction),
+                inverted,
+                &mut scope,
+            );
         }
         channel.load(refill.half, &fill);
         Some(refill.at)
@@ -359,7 +371,8 @@ impl StepBackend for VirtualRmt {
                     axis.fill(half)
                 };
                 if let Some(direction) = fill.turn {
-                    channel.turn(now, direction, &mut scope);
+                    let inverted = !axis.direction_level(Direction::Positive);
+                    channel.turn(now, axis.direction_level(direction), inverted, &mut scope);
                 }
                 channel.load(half, &fill);
             }

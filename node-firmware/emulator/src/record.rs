@@ -62,6 +62,10 @@ pub struct Life {
     pub inputs: Vec<PinLevel>,
     /// How the axes are homed that can be.
     pub homes: Vec<HomeFacts>,
+    /// Axes whose direction pin is low for positive.
+    pub inverted: Vec<bool>,
+    /// Whether the queue rests at `lidar_read` until the reading has come.
+    pub lidar_waits: bool,
     /// A list was full: later commands and edges are missing.
     pub cut: bool,
     /// The emulated pulse counter of each axis: steps with sign since boot.

@@ -10,7 +10,11 @@ use keys::{
 };
 use motion::{
     Ticks,
-    io::enable::{AxisSet, EnableConfig},
+    io::{
+        enable::{AxisSet, EnableConfig},
+        home::HomeConfig,
+        input::Switch,
+    },
 };
 
 const X: AxisId = AxisId(0);
@@ -266,4 +270,68 @@ fn an_output_that_is_not_automatic_is_on_from_boot_on() {
     assert_eq!(all.len(), 1);
     assert!(all[0].level && steps(&life)[0] >= 2 * TICKS_PER_MS);
     assert!(bench.now > LocalMicros(0));
+}
+
+#[test]
+fn a_direction_pin_may_be_low_for_positive() {
+    let mut config = config();
+    config.motion.axes[0].direction_inverted = true;
+    config.add_switch(X, Switch::Min, -300).expect("room");
+    config.set_home(X, HomeConfig::min_switch(20_000));
+    let mut bench = Bench::new(config);
+    bench.order([ramp(50), Command::Home { axis: X }, ramp(-30), ramp(100)]);
+    bench.run_to_rest();
+    assert_eq!(bench.node.position_steps(X), 270);
+    assert_eq!(bench.node.place_steps(X), -30);
+    let life = bench.judged();
+    let turns = life
+        .edges
+        .iter()
+        .filter(|edge| edge.pin == Pin::Direction(X));
+    let levels: Vec<_> = turns.map(|edge| edge.level).collect();
+    // It is low at boot, which is positive; then there, back, there, off, back, up.
+    assert_eq!(levels, [true, false, true, false, true, false]);
+}
+
+#[test]
+fn what_follows_a_lidar_read_waits_for_the_reading() {
+    let mut config = config();
+    config.motion.lidar_wait_ms = Some(100);
+    let mut bench = Bench::new(config);
+    let line = Command::Line {
+        steps: [100, 0, 0, 0],
+        speed_hz: 2_000,
+        accel_hz_per_s: 20_000,
+        jerk_hz_per_s2: 0,
+    };
+    bench.order([line, Command::LidarRead, line]);
+    bench.run_to_rest();
+    bench.run_for(1_000_000);
+    let steps = steps(&bench.judged());
+    // The emulated lidar takes 20 ms.
+    let rest = steps[100] - steps[99];
+    assert!(
+        (20 * TICKS_PER_MS..50 * TICKS_PER_MS).contains(&rest),
+        "{rest}"
+    );
+    let mm = bench.node.status().lidar_mm.expect("a reading");
+    let told = format!("lidar: {mm} mm");
+    assert!(bench.lines.contains(&told), "{:?}", bench.lines);
+}
+
+#[test]
+fn a_reading_that_does_not_come_does_not_hold_the_queue_for_ever() {
+    let mut config = config();
+    config.motion.lidar_wait_ms = Some(10);
+    let mut bench = Bench::new(config);
+    bench.order([Command::LidarRead, ramp(10)]);
+    bench.run_to_rest();
+    bench.run_for(1_000_000);
+    let told = "lidar: no reading in time";
+    assert!(
+        bench.lines.iter().any(|line| line == told),
+        "{:?}",
+        bench.lines
+    );
+    assert_eq!(bench.node.position_steps(X), 10);
 }

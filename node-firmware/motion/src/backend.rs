@@ -17,7 +17,7 @@ use keys::{AxisId, status::FaultCode};
 /// | `counted_steps` | the same, counted at the pin by something else | planner, at rest |
 ///
 /// A refill calls [`Axis::fill`], sets the direction pin that [`Fill::turn`](crate::Fill::turn)
-/// names, and writes the words. How the back end knows what was played is its secret: on the board
+/// names to [`Axis::direction_level`], and writes the words. How the back end knows what was played is its secret: on the board
 /// the read pointer and a pulse counter, in the emulator the same, modelled.
 pub trait StepBackend {
     /// Gives the axes, with every refill held off.

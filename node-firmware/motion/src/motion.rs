@@ -91,8 +91,11 @@ pub enum MotionEvent {
         /// 0 to 100.
         power_percent: u8,
     },
-    /// The commands before have ended: a lidar reading is due. What follows does not wait for it.
+    /// The commands before have ended: a lidar reading is due. What follows waits for
+    /// [`Motion::take_lidar`] if the configuration says so.
     LidarRequest,
+    /// It did not come in time; the queue goes on.
+    LidarMissed,
     /// The pulses had to rest although the job has more: see [`Motion::expect_more`].
     Underrun,
     /// Everything that was accepted has ended.
@@ -252,6 +255,9 @@ pub struct Motion<'m, B: StepBackend> {
     homing: Option<Homing>,
     cd: Option<Cd>,
     laser: Laser,
+    /// How long a reading is waited for, and until when it is now.
+    lidar_wait_ticks: Option<u64>,
+    lidar_until: Option<Ticks>,
     enables: Enables,
     /// When the drivers that were switched on let the queue begin.
     enabled_at: Option<Ticks>,
@@ -359,6 +365,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             homing: None,
             cd,
             laser: Laser::default(),
+            lidar_wait_ticks: config
+                .lidar_wait_ms
+                .map(|ms| u64::from(ms) * 1_000 * TICKS_PER_US),
+            lidar_until: None,
             enables,
             enabled_at: None,
             station: false,
@@ -543,6 +553,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(event) = self.pass_barrier() {
                 return Some(event);
             }
+            self.pass_lidar();
             self.pass_station();
             self.pass_homing();
             self.plan();
@@ -561,7 +572,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             }
             // An input counts at its own time, and so does a driver that is ready.
             let inputs = self.inputs.poll_timeout();
-            let due = inputs.into_iter().chain(self.enables_timeout()).min();
+            let due = inputs.into_iter().chain(self.outputs_timeout()).min();
             let until = due.map_or(now, |due| due.max(self.now).min(now));
             self.now = match self.phase {
                 Phase::Rest => {
@@ -587,7 +598,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.phase_timeout(),
             self.inputs.poll_timeout(),
             self.cd_timeout(),
-            self.enables_timeout(),
+            self.outputs_timeout(),
             told,
         ]
         .into_iter()
@@ -675,6 +686,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         missed.into_iter().for_each(|event| self.tell(event));
         self.homing = None;
         self.station = false;
+        self.lidar_until = None;
         self.halt_cd();
         match (self.phase, mode) {
             (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
@@ -834,7 +846,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
                     Hold::Resuming(_) => return None,
                 }
-                let waits = self.ring.peek().is_some_and(|next| waits_for_rest(&next));
+                let waits = self.ring.peek();
+                let waits = waits.is_some_and(|next| self.waits_for_rest(&next));
                 if self.executed_commands < self.expected_commands && !waits {
                     self.withhold_laser();
                     Some(MotionEvent::Underrun)
@@ -1015,7 +1028,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let Some(command) = self.ring.peek() else {
                 break;
             };
-            if self.marks.is_full() || waits_for_rest(&command) || self.refuse_blocked(&command) {
+            if self.marks.is_full()
+                || self.waits_for_rest(&command)
+                || self.refuse_blocked(&command)
+            {
                 break;
             }
             if self.is_held() && !self.planner.is_at_speed() {
@@ -1099,6 +1115,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
     }
 
+    /// Returns whether a command begins only when all before it has ended.
+    fn waits_for_rest(&self, command: &Command) -> bool {
+        match command {
+            Command::Barrier { .. }
+            | Command::Home { .. }
+            | Command::MoveC { .. }
+            | Command::MoveD { .. } => true,
+            Command::LidarRead => self.lidar_wait_ticks.is_some(),
+            _ => false,
+        }
+    }
+
     /// Returns the way of a ramp or a line and how many steps of its ramp it jumps over; `None`
     /// for other commands and where there is no way to go.
     fn line_of(&self, command: &Command) -> Option<(Line, u16)> {
@@ -1152,7 +1180,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     fn begin_line(&mut self, line: Line, jump_steps: u16, begin: Ticks) -> Begun {
         let ring = &self.ring;
-        let behind = lines_of((1..).map_while(|index| ring.peek_at(index)));
+        let behind = lines_behind(ring, 1, self.lidar_wait_ticks.is_some());
         let axes = &self.backend.axes()[..self.axis_count];
         let base_steps = self.planned_steps;
         self.planner
@@ -1205,23 +1233,18 @@ const WAY_STEPS_MAX: i128 = 1 << 62;
 /// take no time.
 const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
 
-/// Returns the lines with which commands begin. What takes no time does not end a path.
-fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Line> {
-    commands
-        .take(LOOK_COMMANDS_MAX)
+/// Returns the lines that follow behind so many commands. What takes no time does not end a path, but
+/// for a reading that is waited for.
+fn lines_behind<'r>(
+    ring: &'r CommandRing<'_>,
+    count: usize,
+    lidar_waits: bool,
+) -> impl Iterator<Item = Line> + use<'r> {
+    let all = (count..).map_while(|index| ring.peek_at(index));
+    all.take(LOOK_COMMANDS_MAX)
+        .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))
         .filter(|next| !takes_no_time(next))
         .map_while(|next| line_of(&next))
-}
-
-/// Returns whether a command begins only when all before it has ended.
-fn waits_for_rest(command: &Command) -> bool {
-    matches!(
-        command,
-        Command::Barrier { .. }
-            | Command::Home { .. }
-            | Command::MoveC { .. }
-            | Command::MoveD { .. }
-    )
 }
 
 fn takes_no_time(command: &Command) -> bool {

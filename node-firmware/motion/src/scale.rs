@@ -18,6 +18,15 @@ pub const STEPS_PER_M_MAX: u32 = 4_000_000_000;
 /// Farthest place: 4,504 km. With the finest scale, 2⁵⁴ steps.
 pub const PLACE_NM_MAX: i64 = 1 << 52;
 
+impl Default for Scale {
+    /// 80 steps/mm.
+    fn default() -> Self {
+        Self {
+            steps_per_m: 80_000,
+        }
+    }
+}
+
 /// Nanometres of a metre.
 const NM_PER_M: i128 = 1_000_000_000;
 
@@ -98,7 +107,7 @@ impl Scale {
 }
 
 /// Divides, rounds to the nearest, and halves away from 0.
-const fn round_div(value: i128, by: i128) -> i128 {
+pub(crate) const fn round_div(value: i128, by: i128) -> i128 {
     let half = if value < 0 { -by / 2 } else { by / 2 };
     (value + half) / by
 }

@@ -276,7 +276,12 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
-            Inbound::Lidar { mm } => self.lidar_mm = Some(mm),
+            Inbound::Lidar { mm } => {
+                self.run_motion(now);
+                self.lidar_mm = Some(mm);
+                self.log(now, format_args!("lidar: {mm} mm"));
+                self.motion.take_lidar();
+            }
             Inbound::SignalStrength { rssi_dbm } => self.rssi_dbm = rssi_dbm,
         }
         self.run_motion(now);
@@ -415,6 +420,9 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 MotionEvent::Laser { .. } if self.phase != Phase::Open => {}
                 MotionEvent::Laser { power_percent } => self.set_laser(power_percent),
                 MotionEvent::LidarRequest => self.outputs.request_lidar(),
+                MotionEvent::LidarMissed => {
+                    self.log(now, format_args!("lidar: no reading in time"))
+                }
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
                 MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded => {}
                 MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),

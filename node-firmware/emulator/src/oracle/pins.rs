@@ -15,6 +15,9 @@ impl Judge<'_> {
             turned_at: Option<u64>,
         }
         let mut lines = vec![Line::default(); self.axes.len()];
+        for (line, inverted) in lines.iter_mut().zip(self.inverted) {
+            line.positive = *inverted;
+        }
         let mut before = 0;
         for event in edges {
             let at = event.at_ticks;
@@ -64,7 +67,8 @@ impl Judge<'_> {
                     }
                     let least = self.limits.hold_ticks_min;
                     bad[1] = demand("direction hold", since(line.fell_at), least);
-                    line.positive = event.level;
+                    let inverted = self.inverted.get(axis.index()).copied().unwrap_or(false);
+                    line.positive = event.level != inverted;
                     line.turned_at = Some(at);
                 }
             }

@@ -246,8 +246,11 @@ impl Judge<'_> {
             let is_line = matches!(taken.command, Command::Line { .. });
             let timeless = matches!(
                 taken.command,
-                Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
-            );
+                Command::Laser { .. }
+                    | Command::LidarRead
+                    | Command::SetPosition { .. }
+                    | Command::StatusCd
+            ) && !self.rests_at(&taken.command);
             let taken_at = taken.at.0 * TICKS_PER_US;
             // A line that came after the last edge of its predecessor cannot have been joined.
             let too_late = pieces.last().is_some_and(|piece: &Piece| {
@@ -283,6 +286,15 @@ impl Judge<'_> {
         (pieces, count)
     }
 
+    /// Whether the queue rests at a command until something else has happened.
+    fn rests_at(&self, command: &Command) -> bool {
+        match command {
+            Command::Barrier { .. } | Command::MoveC { .. } | Command::MoveD { .. } => true,
+            Command::LidarRead => self.lidar_waits,
+            _ => false,
+        }
+    }
+
     /// A command that is no path.
     fn read_command(
         &mut self,
@@ -292,7 +304,7 @@ impl Judge<'_> {
         broken: &mut [bool],
     ) {
         let must_be_whole = taken.number < scope.executed;
-        if matches!(taken.command, Command::Barrier { .. }) {
+        if self.rests_at(&taken.command) {
             // The queue rests there for as long as others need.
             *anchor = None;
         }

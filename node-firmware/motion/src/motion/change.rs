@@ -2,7 +2,7 @@
 //! taken back, and the path goes on from there under what has changed.
 
 use super::{
-    Hold, Motion, Phase, lines_of,
+    Hold, Motion, Phase, lines_behind,
     marks::{Mark, What},
 };
 use keys::Command;
@@ -49,7 +49,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Goes on with a line that was left; `own` is its mark, a drive has none.
     pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
         let ring = &self.ring;
-        let behind = lines_of((0..).map_while(|index| ring.peek_at(index)));
+        let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some());
         let axes = &self.backend.axes()[..self.axis_count];
         let begun = self.planner.go_on(split, behind, axes);
         if let Some(What::Path(steps)) = own {

@@ -11,6 +11,7 @@ use crate::{
     },
     limits::{CHANNELS, TICK_HZ},
     profile::Timing,
+    scale::Scale,
 };
 use core::fmt;
 use keys::{AxisId, StopMode};
@@ -22,6 +23,8 @@ pub struct MotionConfig {
     pub axis_count: usize,
     /// What their drivers demand; those beyond `axis_count` do not matter.
     pub axes: [AxisProfile; CHANNELS],
+    /// Steps of a length of each axis.
+    pub scales: [Scale; CHANNELS],
     /// The input pins.
     pub inputs: InputMap,
     /// Their levels at boot, a bit for each.
@@ -32,6 +35,8 @@ pub struct MotionConfig {
     pub soft_limits: [Option<SoftLimits>; CHANNELS],
     /// The enable outputs, by index. One that is not automatic is on from boot on.
     pub enables: heapless::Vec<EnableConfig, OUTPUTS_MAX>,
+    /// How long `lidar_read` waits for its reading at rest, ms; `None`: it asks in passing.
+    pub lidar_wait_ms: Option<u32>,
     /// C and D, of a node that has them.
     pub cd: Option<ConfigCd>,
     /// How an axis stops that comes to a limit switch.
@@ -46,11 +51,13 @@ impl Default for MotionConfig {
         Self {
             axis_count: 2,
             axes: [AxisProfile::default(); CHANNELS],
+            scales: [Scale::default(); CHANNELS],
             inputs: InputMap::EMPTY,
             input_levels: 0,
             homes: [None; CHANNELS],
             soft_limits: [None; CHANNELS],
             enables: heapless::Vec::new(),
+            lidar_wait_ms: None,
             cd: None,
             limit_stop: StopMode::Halt,
             probe_stop: None,

@@ -54,6 +54,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Some(Command::Home { axis }) => self.begin_homing(axis),
             Some(Command::MoveC { index }) => self.begin_c(index),
             Some(Command::MoveD { on }) => self.begin_d(on),
+            Some(Command::LidarRead) if self.lidar_wait_ticks.is_some() => self.begin_lidar(),
             _ => self.station = false,
         }
         let first_edge_at = self.now;

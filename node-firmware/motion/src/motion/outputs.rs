@@ -1,4 +1,4 @@
-//! Outputs that go with the motion: the laser, and the drivers' enable pins.
+//! What goes with the motion: the laser, the drivers' enable pins, and the lidar that is waited for.
 //!
 //! The laser burns only where something moves on: a hold, a barrier and a queue that has run dry
 //! switch it off, and it comes back with the next pulses. The drivers of all axes of the queue are
@@ -95,9 +95,35 @@ impl<B: StepBackend> Motion<'_, B> {
         self.enables.confirm(output, self.now);
     }
 
-    /// Returns when an enable output changes or lets motion begin.
-    pub(super) fn enables_timeout(&self) -> Option<Ticks> {
+    /// Returns when an enable output changes or lets motion begin, or a reading comes no more.
+    pub(super) fn outputs_timeout(&self) -> Option<Ticks> {
         let at = self.enabled_at.map(|at| at.max(self.now));
-        at.into_iter().chain(self.enables.poll_timeout()).min()
+        [at, self.enables.poll_timeout(), self.lidar_until]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    /// Asks for a reading and waits for it.
+    pub(super) fn begin_lidar(&mut self) {
+        let wait_ticks = self.lidar_wait_ticks.unwrap_or(0);
+        self.lidar_until = Some(self.now.plus(wait_ticks));
+        self.tell(MotionEvent::LidarRequest);
+    }
+
+    /// A lidar reading has come: the queue goes on if it waits for one.
+    pub fn take_lidar(&mut self) {
+        if self.lidar_until.take().is_some() {
+            self.end_station();
+        }
+    }
+
+    /// A reading that is waited for for too long.
+    pub(super) fn pass_lidar(&mut self) {
+        if self.lidar_until.is_some_and(|until| until <= self.now) {
+            self.lidar_until = None;
+            self.end_station();
+            self.tell(MotionEvent::LidarMissed);
+        }
     }
 }
