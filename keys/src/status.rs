@@ -81,6 +81,8 @@ impl FaultCode {
     pub const HOMING: Self = Self(206);
     /// C or D did not arrive where it was sent.
     pub const NOT_THERE: Self = Self(207);
+    /// The shift register does not show what it was sent.
+    pub const SHIFT_REGISTER: Self = Self(208);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
 
@@ -95,6 +97,7 @@ impl FaultCode {
             Self::LIMIT => "an axis at its limit",
             Self::HOMING => "homing failed",
             Self::NOT_THERE => "C or D did not arrive",
+            Self::SHIFT_REGISTER => "shift register does not follow",
             Self::PANIC => "firmware panic",
             _ => "unknown fault",
         }

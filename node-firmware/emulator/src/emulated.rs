@@ -10,7 +10,7 @@ use crate::{
     memory::RingMemory,
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
-    record::{Life, TakenCommand},
+    record::{InputEdge, Life, TakenCommand},
     vcd::VcdWriter,
 };
 use keys::{
@@ -29,6 +29,9 @@ use std::{
 /// Time that the emulated lidar takes for a reading.
 pub const LIDAR_US: u64 = 20_000;
 
+/// Time that a word takes to the emulated shift register and back.
+pub const SHIFT_US: u64 = 100;
+
 /// Time between two looks at the switches while one could change: how late the node hears of it at
 /// most, as a board's task hears of an interrupt.
 pub const LOOK_US: u64 = 50;
@@ -45,6 +48,8 @@ pub struct Bench {
     laser_percent: u8,
     lidar_requested: bool,
     enables: Vec<PinEvent>,
+    /// What was shifted out and not yet read back.
+    shifted: Option<u32>,
 }
 
 impl Bench {
@@ -61,6 +66,10 @@ impl Outputs for Bench {
 
     fn request_lidar(&mut self) {
         self.lidar_requested = true;
+    }
+
+    fn shift_out(&mut self, word: u32) {
+        self.shifted = Some(word);
     }
 
     fn set_enable(&mut self, change: OutputChange, at: Ticks) {
@@ -86,11 +95,15 @@ pub struct EmulatedNode {
     looked_at: LocalMicros,
     boots: u64,
     lidar_due: Option<LocalMicros>,
+    /// What the shift register shows, and when that is read back.
+    shift_due: Option<(LocalMicros, u32)>,
+    /// The next so many words that are read back are wrong.
+    shift_errors: u32,
     lidar_readings: u64,
     commands: Vec<TakenCommand>,
     stops: Vec<keys::StopReport>,
     edges: Vec<PinEvent>,
-    inputs: Vec<PinLevel>,
+    inputs: Vec<InputEdge>,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -134,6 +147,8 @@ impl EmulatedNode {
             config,
             boots: 1,
             lidar_due: None,
+            shift_due: None,
+            shift_errors: 0,
             lidar_readings: 0,
             commands: Vec::new(),
             stops: Vec::new(),
@@ -265,13 +280,28 @@ impl EmulatedNode {
             let mm = 500 + splitmix(self.config.seed ^ self.lidar_readings) % 2_000;
             self.node.handle(now, Inbound::Lidar { mm: mm as u32 });
         }
+        if let Some((due, word)) = self.shift_due
+            && due <= now
+        {
+            self.shift_due = None;
+            let wrong = self.shift_errors > 0;
+            self.shift_errors = self.shift_errors.saturating_sub(1);
+            let word = if wrong { !word } else { word };
+            self.node.handle(now, Inbound::Shift { word });
+        }
         self.node.poll(now);
         self.observe(now);
     }
 
+    /// Disturbs the shift register: the next so many words that are read back are wrong.
+    pub fn disturb_shift(&mut self, words: u32) {
+        self.shift_errors = words;
+    }
+
     /// Returns when [`EmulatedNode::poll`] has something to do next.
     pub fn poll_timeout(&self) -> Option<LocalMicros> {
-        [self.node.poll_timeout(), self.lidar_due]
+        let shift_due = self.shift_due.map(|(due, _)| due);
+        [self.node.poll_timeout(), self.lidar_due, shift_due]
             .into_iter()
             .flatten()
             .min()
@@ -308,6 +338,7 @@ impl EmulatedNode {
         self.node = boot_node(&self.memory, &self.config, levels, boot, self.boots);
         self.boots += 1;
         self.lidar_due = None;
+        self.shift_due = None;
     }
 
     /// Returns what the node says about itself.
@@ -452,6 +483,9 @@ impl EmulatedNode {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
+        if let Some(word) = self.node.outputs_mut().shifted.take() {
+            self.shift_due = Some((now.plus_us(SHIFT_US), word));
+        }
         loop {
             let from = self.edges.len();
             self.take_edges();
@@ -510,7 +544,12 @@ impl EmulatedNode {
 
     fn record_input(&mut self, level: PinLevel) {
         if self.inputs.len() < self.recorded_max() {
-            self.inputs.push(level);
+            self.inputs.push(InputEdge {
+                at_ticks: level.at.0,
+                index: level.index,
+                level: level.level,
+                counted_steps: level.counted_steps,
+            });
         }
     }
 

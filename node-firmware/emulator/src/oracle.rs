@@ -3,8 +3,7 @@
 //!
 //! It reads only [`Life`]: commands, stop reports, changes of pins. Its knowledge is the meaning of
 //! the commands (a `move` has its edges at 0, d, 2d, …), the driver's timing, and the textbook: of
-//! [`crate::kinematics`] and v² = v₀² − 2as. Of `motion` it takes the form of an input's record,
-//! of `node` nothing.
+//! [`crate::kinematics`] and v² = v₀² − 2as. It imports neither `motion` nor `node`.
 //!
 //! | it demands | how exactly |
 //! |---|---|
@@ -38,9 +37,8 @@ mod pins;
 mod queues;
 mod track;
 
-use crate::record::{HomeFacts, Life};
+use crate::record::{HomeFacts, InputEdge, Life};
 use keys::Command;
-use motion::io::input::PinLevel;
 use std::fmt;
 
 /// Ticks of one second: the unit of [`PinEvent::at_ticks`].
@@ -271,7 +269,7 @@ struct Judge<'l> {
     more: u64,
     /// A path had a fault: which step belongs to which later command cannot be told.
     lost: bool,
-    inputs: &'l [PinLevel],
+    inputs: &'l [InputEdge],
     homes: &'l [HomeFacts],
     inverted: &'l [bool],
     lidar_waits: bool,

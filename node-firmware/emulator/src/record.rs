@@ -4,8 +4,7 @@
 //! so what is there is a whole beginning.
 
 use crate::pins::PinEvent;
-use keys::{AxisId, Command, LocalMicros, QueueId, Status, StopReport};
-use motion::io::input::PinLevel;
+use keys::{AxisId, Command, LocalMicros, QueueId, Status, StopReport, command::LINE_AXES};
 
 /// A command that a node took into its ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +17,19 @@ pub struct TakenCommand {
     pub number: u64,
     /// The command.
     pub command: Command,
+}
+
+/// A change of an input pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputEdge {
+    /// When, in ticks since the node's boot.
+    pub at_ticks: u64,
+    /// Index of the input.
+    pub index: usize,
+    /// Its level from then on.
+    pub level: bool,
+    /// Where the pulse counters of the axes were then, steps since boot.
+    pub counted_steps: [i64; LINE_AXES],
 }
 
 /// What `home` means for one axis.
@@ -59,7 +71,7 @@ pub struct Life {
     /// Every change of a pin, in order of time.
     pub edges: Vec<PinEvent>,
     /// Every change of an input, in order of time.
-    pub inputs: Vec<PinLevel>,
+    pub inputs: Vec<InputEdge>,
     /// How the axes are homed that can be.
     pub homes: Vec<HomeFacts>,
     /// Axes whose direction pin is low for positive.

@@ -5,13 +5,14 @@ mod bench;
 use bench::{Bench, config};
 use emulator::{EmulatorConfig, pins::Pin, record::Life};
 use keys::{
-    AxisId, Command, LocalMicros, StopMode,
+    AxisId, Command, LocalMicros, NodeState, StopMode,
     command::{Ramp, RampShape},
+    status::FaultCode,
 };
 use motion::{
-    Ticks,
+    ShiftConfig, Ticks,
     io::{
-        enable::{AxisSet, EnableConfig},
+        enable::{AxisSet, EnableConfig, OUTPUTS_MAX},
         home::HomeConfig,
         input::Switch,
     },
@@ -334,4 +335,75 @@ fn a_reading_that_does_not_come_does_not_hold_the_queue_for_ever() {
         bench.lines
     );
     assert_eq!(bench.node.position_steps(X), 10);
+}
+
+/// The same output behind pin 3 of a shift register.
+fn shifted() -> EmulatorConfig {
+    let mut config = enabled();
+    config.motion.enables[0].external = true;
+    let mut enable_pins = [None; OUTPUTS_MAX];
+    enable_pins[0] = Some(3);
+    config.motion.shift = Some(ShiftConfig {
+        pin_count: 8,
+        enable_pins,
+    });
+    config
+}
+
+#[test]
+fn a_driver_behind_a_shift_register_is_on_when_that_confirms_it() {
+    for (errors, least_ms) in [(0, 5), (2, 7)] {
+        let mut bench = Bench::new(shifted());
+        bench.run_until(100_000);
+        bench.node.disturb_shift(errors);
+        bench.order([Command::Move {
+            axis: X,
+            delay_us: 100,
+            steps: 10,
+        }]);
+        bench.run_to_rest();
+        let life = bench.judged();
+        let first = steps(&life)[0] - 100 * TICKS_PER_MS;
+        // Its delay from the confirmation on, and a millisecond for each word that was wrong.
+        let window = least_ms * TICKS_PER_MS..(least_ms + 2) * TICKS_PER_MS;
+        assert!(window.contains(&first), "{errors} errors: {first}");
+        assert_eq!(bench.node.status().faults.len(), 0);
+    }
+}
+
+#[test]
+fn a_shift_register_that_does_not_follow_is_a_fault_and_nothing_steps() {
+    let mut bench = Bench::new(shifted());
+    bench.run_until(100_000);
+    bench.node.disturb_shift(100);
+    bench.order([ramp(100)]);
+    bench.run_for(3_000_000);
+    let status = bench.node.status();
+    assert_eq!(status.state, NodeState::Fault);
+    assert_eq!(status.faults[0].code, FaultCode::SHIFT_REGISTER);
+    let told = "shift register: sent 0x00000008, read back 0x000000f7";
+    assert!(
+        bench.lines.iter().any(|line| line == told),
+        "{:?}",
+        bench.lines
+    );
+    assert_eq!(bench.node.step_count(X), 0);
+    // Repaired and released, it works.
+    bench.node.disturb_shift(0);
+    bench.release();
+    bench.order([ramp(100)]);
+    bench.run_to_rest();
+    assert_eq!(bench.node.step_count(X), 100);
+    bench.judged();
+}
+
+#[test]
+fn an_external_output_needs_a_pin() {
+    let mut config = shifted();
+    config.motion.shift = None;
+    let error = config.check().expect_err("no register").to_string();
+    assert_eq!(
+        error,
+        "enable output 0: it has no pin of the shift register"
+    );
 }

@@ -20,6 +20,10 @@
 //! | [`lookahead`] | how fast a line may be left, given the lines behind it |
 //! | `steps.rs` | a path to the edges of all axes, put together to segments |
 //! | `motion/change.rs`, `motion/drive.rs` | hold, resume, speed, target: changed in flight |
+//! | `motion/inputs.rs`, `motion/homing.rs` | switches: limits, and the way to a reference |
+//! | `motion/reach.rs` | soft limits |
+//! | `motion/named.rs`, `motion/outputs.rs` | C and D; laser, enable pins, shift register, lidar |
+//! | [`scale`] | lengths to steps |
 //! | [`real`] | the numbers of all this: 62 bits and an exponent, in integers |
 //!
 //! No clock, no hardware, no allocation, no floating point: time comes in as [`Ticks`] and
@@ -74,7 +78,7 @@ pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
     Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, LimitHit, Motion,
-    MotionConfig, MotionEvent, Outlook, SoftLimits, Target,
+    MotionConfig, MotionEvent, Outlook, ShiftConfig, SoftLimits, Target,
 };
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};

@@ -12,7 +12,7 @@ mod outputs;
 mod reach;
 
 pub use check::CommandError;
-pub use config::{ConfigError, MotionConfig};
+pub use config::{ConfigError, MotionConfig, ShiftConfig};
 pub use drive::{Course, DriveError, Target};
 pub use named::{CdError, ConfigCd};
 pub use reach::{Beyond, Outlook, SoftLimits};
@@ -21,7 +21,7 @@ use drive::Drive;
 use homing::Homing;
 use marks::{Mark, Marks, What};
 use named::Cd;
-use outputs::Laser;
+use outputs::{Laser, Shift};
 
 use crate::{
     Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
@@ -29,6 +29,7 @@ use crate::{
         enable::{AxisSet, Enables, OutputChange},
         home::{HomeConfig, HomeError, Switches},
         input::{Inputs, Role, Switch},
+        shift::ShiftFault,
     },
     law::speed_from_hz,
     limits::{
@@ -150,6 +151,13 @@ pub enum MotionEvent {
     },
     /// An enable output switches.
     Output(OutputChange),
+    /// The shift register is to show this word; [`Motion::take_shift`] takes what is read back.
+    ShiftOut {
+        /// A bit for each pin.
+        word: u32,
+    },
+    /// The shift register does not follow: nothing behind it is known to be on.
+    ShiftFault(ShiftFault),
     /// C or D did not arrive: the queue does not go on without [`Motion::stop`].
     CdFailed {
         /// Why.
@@ -259,6 +267,7 @@ pub struct Motion<'m, B: StepBackend> {
     lidar_wait_ticks: Option<u64>,
     lidar_until: Option<Ticks>,
     enables: Enables,
+    shift: Option<Shift>,
     /// When the drivers that were switched on let the queue begin.
     enabled_at: Option<Ticks>,
     /// A command that waits for rest runs: homing, C or D.
@@ -370,6 +379,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 .map(|ms| u64::from(ms) * 1_000 * TICKS_PER_US),
             lidar_until: None,
             enables,
+            shift: config.shift.map(Shift::new),
             enabled_at: None,
             station: false,
             homes: config.homes,
@@ -557,8 +567,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.pass_station();
             self.pass_homing();
             self.plan();
-            if let Some(change) = self.enables.poll(self.now) {
-                return Some(MotionEvent::Output(change));
+            if let Some(event) = self.pass_enables() {
+                return Some(event);
             }
             if let Some(event) = self.pass_start() {
                 return Some(event);

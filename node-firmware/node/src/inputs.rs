@@ -6,7 +6,10 @@
 use crate::{Node, Outputs, local_from_ticks, outbox::Line};
 use core::fmt::Write;
 use keys::{AxisId, LocalMicros, StopMode, StopReason, status::FaultCode};
-use motion::{CdError, LimitHit, StepBackend, io::home::HomeError};
+use motion::{
+    CdError, LimitHit, StepBackend,
+    io::{home::HomeError, shift::ShiftFault},
+};
 
 impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// The stop is demanded, or no longer.
@@ -61,6 +64,13 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     pub(crate) fn fail_cd(&mut self, error: CdError, now: LocalMicros) {
         self.note_fault(FaultCode::NOT_THERE, now);
         self.log(now, format_args!("{error}"));
+        self.begin_stop(StopReason::Fault, StopMode::Halt, now);
+    }
+
+    /// The shift register does not follow: drivers may be off that should be on.
+    pub(crate) fn fail_shift(&mut self, fault: ShiftFault, now: LocalMicros) {
+        self.note_fault(FaultCode::SHIFT_REGISTER, now);
+        self.log(now, format_args!("{fault}"));
         self.begin_stop(StopReason::Fault, StopMode::Halt, now);
     }
 

@@ -180,6 +180,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             Phase::Latched { .. } if self.stop_pin_active => Verdict::Refused(Refusal::Stopped),
             Phase::Latched { .. } => {
                 self.phase = Phase::Open;
+                self.motion.reset_shift();
                 self.status_due = true;
                 self.trace.note(now, Event::Released);
                 self.log(now, format_args!("released"));

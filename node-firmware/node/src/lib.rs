@@ -123,6 +123,11 @@ pub enum Inbound<'b> {
         /// Whether the stop is demanded.
         active: bool,
     },
+    /// What the shift register was read back to show.
+    Shift {
+        /// A bit for each pin.
+        word: u32,
+    },
     /// A level of an input pin.
     Input(PinLevel),
     /// Signal strength of the link, dBm.
@@ -143,6 +148,9 @@ pub trait Outputs {
     /// Switches an enable output now, its low-active and its high-active pin; `at` is when motion
     /// has asked for it.
     fn set_enable(&mut self, change: OutputChange, at: Ticks);
+
+    /// Shifts a word into the shift register; what it shows then comes back as [`Inbound::Shift`].
+    fn shift_out(&mut self, word: u32);
 }
 
 /// The firmware minus hardware. See the crate for the picture.
@@ -244,6 +252,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 self.begin_stop(StopReason::Client, Stop::from_payload(payload).mode, now);
             }
             Inbound::StopPin { active } => self.take_stop_pin(active, now),
+            Inbound::Shift { word } => {
+                self.run_motion(now);
+                self.motion.take_shift(word);
+            }
             Inbound::Input(level) => {
                 // What comes before it has happened before it.
                 self.run_motion(now);
@@ -449,6 +461,8 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     let at = self.motion.now();
                     self.outputs.set_enable(change, at);
                 }
+                MotionEvent::ShiftOut { word } => self.outputs.shift_out(word),
+                MotionEvent::ShiftFault(fault) => self.fail_shift(fault, now),
                 MotionEvent::CdFailed { error } => self.fail_cd(error, now),
                 MotionEvent::StatusCd => self.tell_status_cd(now),
                 MotionEvent::StopInput { active } => self.take_stop_pin(active, now),

@@ -11,10 +11,9 @@
 use super::{Judge, Step, TICK_HZ, TICKS_PER_US, queues::Scope};
 use crate::{
     kinematics::Ideal,
-    record::{HomeFacts, TakenCommand},
+    record::{HomeFacts, InputEdge, TakenCommand},
 };
 use keys::{AxisId, StopReport};
-use motion::io::input::PinLevel;
 
 /// A contact counts as pressed when it has held for so long: the default filter.
 const FILTER_TICKS: u64 = 20 * TICKS_PER_US;
@@ -73,7 +72,7 @@ impl Judge<'_> {
         let press = back_off.end().and_then(|end| self.press_from(&home, end));
         // What comes behind it may go the same way, if nothing leads off the switch.
         let until = match press {
-            Some(press) if home.pull_off_steps == 0 => press.at.0 + 10 * FILTER_TICKS,
+            Some(press) if home.pull_off_steps == 0 => press.at_ticks + 10 * FILTER_TICKS,
             _ => scope.until,
         };
         let approach = self.leg(index, sign, hz, usize::MAX, until.min(scope.until));
@@ -168,26 +167,26 @@ impl Judge<'_> {
     }
 
     /// The axis does not go on for longer than it needs to come to rest.
-    fn check_overrun(&mut self, axis: AxisId, home: &HomeFacts, leg: &Leg, press: PinLevel) {
+    fn check_overrun(&mut self, axis: AxisId, home: &HomeFacts, leg: &Leg, press: InputEdge) {
         let way = leg.speed_hz * leg.speed_hz / (2.0 * f64::from(home.accel_hz_per_s));
         let most = way + leg.speed_hz * REACTION_S + 2.0;
-        let count = leg.count_after(press.at.0);
+        let count = leg.count_after(press.at_ticks);
         if count as f64 > most {
             let message = format!("axis {}: {count} steps behind its switch", axis.0);
-            self.wrong(press.at.0, message);
+            self.wrong(press.at_ticks, message);
         }
     }
 
     /// The first edge from `at` on since which the contact has held.
-    fn press_from(&self, home: &HomeFacts, at: u64) -> Option<PinLevel> {
-        let own = |edge: &&PinLevel| edge.index == home.input;
+    fn press_from(&self, home: &HomeFacts, at: u64) -> Option<InputEdge> {
+        let own = |edge: &&InputEdge| edge.index == home.input;
         let edges: Vec<_> = self.inputs.iter().filter(own).collect();
         let holds = |index: usize| {
             let next = edges.get(index + 1);
-            next.is_none_or(|next| next.at.0 - edges[index].at.0 >= FILTER_TICKS)
+            next.is_none_or(|next| next.at_ticks - edges[index].at_ticks >= FILTER_TICKS)
         };
         let press = edges.iter().enumerate().find(|(index, edge)| {
-            edge.at.0 >= at && edge.level == home.active_level && holds(*index)
+            edge.at_ticks >= at && edge.level == home.active_level && holds(*index)
         });
         press.map(|(_, edge)| **edge)
     }

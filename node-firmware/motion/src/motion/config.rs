@@ -8,6 +8,7 @@ use crate::{
         home::{HomeConfig, HomeConfigError},
         input::{InputMap, MapError, Role, Switch},
         named::{NamedConfigError, PositionsC, SwitchD},
+        shift::SHIFT_PINS_MAX,
     },
     limits::{CHANNELS, TICK_HZ},
     profile::Timing,
@@ -35,6 +36,8 @@ pub struct MotionConfig {
     pub soft_limits: [Option<SoftLimits>; CHANNELS],
     /// The enable outputs, by index. One that is not automatic is on from boot on.
     pub enables: heapless::Vec<EnableConfig, OUTPUTS_MAX>,
+    /// The shift register of the external enable outputs.
+    pub shift: Option<ShiftConfig>,
     /// How long `lidar_read` waits for its reading at rest, ms; `None`: it asks in passing.
     pub lidar_wait_ms: Option<u32>,
     /// C and D, of a node that has them.
@@ -57,11 +60,30 @@ impl Default for MotionConfig {
             homes: [None; CHANNELS],
             soft_limits: [None; CHANNELS],
             enables: heapless::Vec::new(),
+            shift: None,
             lidar_wait_ms: None,
             cd: None,
             limit_stop: StopMode::Halt,
             probe_stop: None,
         }
+    }
+}
+
+/// A shift register whose pins enable drivers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ShiftConfig {
+    /// How many pins it has, at most [`SHIFT_PINS_MAX`].
+    pub pin_count: u8,
+    /// The pin of each enable output that is behind it, high for on.
+    pub enable_pins: [Option<u8>; OUTPUTS_MAX],
+}
+
+impl ShiftConfig {
+    /// Returns the pin of an enable output.
+    pub fn pin_of(&self, output: usize) -> Option<u8> {
+        let pin = self.enable_pins.get(output).copied().flatten();
+        let count = usize::from(self.pin_count).min(SHIFT_PINS_MAX);
+        pin.filter(|pin| usize::from(*pin) < count)
     }
 }
 
@@ -88,6 +110,11 @@ pub enum ConfigError {
     },
     /// The enable outputs.
     Enables(EnableError),
+    /// An external enable output has no pin of the shift register.
+    NoShiftPin {
+        /// Its index.
+        output: usize,
+    },
     /// C cannot move like this.
     C(NamedConfigError),
     /// D cannot move like this.
@@ -127,6 +154,12 @@ impl fmt::Display for ConfigError {
                 )
             }
             Self::Enables(error) => error.fmt(f),
+            Self::NoShiftPin { output } => {
+                write!(
+                    f,
+                    "enable output {output}: it has no pin of the shift register"
+                )
+            }
             Self::C(error) => write!(f, "C: {error}"),
             Self::D(error) => write!(f, "D: {error}"),
             Self::LimitOfD(switch) => {
@@ -198,6 +231,12 @@ impl MotionConfig {
             }
         }
         Enables::new(&self.enables).map_err(ConfigError::Enables)?;
+        for (output, config) in self.enables.iter().enumerate() {
+            let pin = self.shift.and_then(|shift| shift.pin_of(output));
+            if config.external && pin.is_none() {
+                return Err(ConfigError::NoShiftPin { output });
+            }
+        }
         self.check_cd()
     }
 

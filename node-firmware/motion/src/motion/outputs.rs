@@ -5,10 +5,14 @@
 //! switched on together before the first of them steps, and the queue waits until the last one is
 //! ready.
 
+use super::ShiftConfig;
 use super::{Motion, MotionEvent};
 use crate::{
     StepBackend, Ticks,
-    io::enable::{AxisSet, Start},
+    io::{
+        enable::{AxisSet, OUTPUTS_MAX, OutputChange, Start},
+        shift::{SHIFT_PINS_MAX, ShiftEvent, ShiftPins},
+    },
 };
 use keys::Command;
 
@@ -17,6 +21,29 @@ use keys::Command;
 pub(super) struct Laser {
     percent: u8,
     withheld: bool,
+}
+
+/// The shift register and which of its pins are enable outputs.
+#[derive(Clone, Debug)]
+pub(super) struct Shift {
+    config: ShiftConfig,
+    pins: ShiftPins,
+}
+
+impl Shift {
+    /// All pins are low at first.
+    pub(super) fn new(config: ShiftConfig) -> Self {
+        let count = usize::from(config.pin_count).min(SHIFT_PINS_MAX);
+        Self {
+            config,
+            pins: ShiftPins::new(count, 0, Ticks(0)),
+        }
+    }
+
+    fn of(&mut self, output: usize) -> Option<(&mut ShiftPins, u8)> {
+        let pin = self.config.pin_of(output)?;
+        Some((&mut self.pins, pin))
+    }
 }
 
 impl<B: StepBackend> Motion<'_, B> {
@@ -90,15 +117,56 @@ impl<B: StepBackend> Motion<'_, B> {
         self.enables.disable(axes).is_ok()
     }
 
-    /// An enable output behind a shift register shows what it was told last.
-    pub fn confirm_enable(&mut self, output: usize) {
-        self.enables.confirm(output, self.now);
+    /// Switches an output: by the shift register if it is behind one.
+    pub(super) fn pass_enables(&mut self) -> Option<MotionEvent> {
+        while let Some(change) = self.enables.poll(self.now) {
+            let OutputChange { output, on } = change;
+            let Some((shift, pin)) = self.shift.as_mut().and_then(|shift| shift.of(output)) else {
+                return Some(MotionEvent::Output(change));
+            };
+            let set = shift.set(pin, on, self.now);
+            set.expect("the pin is below the count");
+        }
+        let shift = self.shift.as_mut()?;
+        match shift.pins.poll(self.now)? {
+            ShiftEvent::Send(word) => Some(MotionEvent::ShiftOut { word }),
+            ShiftEvent::Fault(fault) => Some(MotionEvent::ShiftFault(fault)),
+            ShiftEvent::Confirmed => None,
+        }
+    }
+
+    /// The shift register shows this word now, as it was read back. What it confirms may begin.
+    pub fn take_shift(&mut self, word: u32) {
+        let now = self.now;
+        let Some(shift) = self.shift.as_mut() else {
+            return;
+        };
+        shift.pins.confirm(word, now);
+        for output in 0..OUTPUTS_MAX {
+            if let Some((pins, pin)) = shift.of(output)
+                && pins.is_confirmed(pin) == Ok(true)
+                && pins.get(pin) == Ok(true)
+            {
+                self.enables.confirm(output, now);
+            }
+        }
+    }
+
+    /// After a fault of the shift register: what it should show is sent anew.
+    pub fn reset_shift(&mut self) {
+        let now = self.now;
+        if let Some(shift) = self.shift.as_mut() {
+            shift.pins.reset(now);
+        }
     }
 
     /// Returns when an enable output changes or lets motion begin, or a reading comes no more.
     pub(super) fn outputs_timeout(&self) -> Option<Ticks> {
         let at = self.enabled_at.map(|at| at.max(self.now));
-        [at, self.enables.poll_timeout(), self.lidar_until]
+        let shift = self.shift.as_ref();
+        let shift = shift.and_then(|shift| shift.pins.poll_timeout());
+        let shift = shift.map(|at| at.max(self.now));
+        [at, self.enables.poll_timeout(), shift, self.lidar_until]
             .into_iter()
             .flatten()
             .min()
