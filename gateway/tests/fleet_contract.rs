@@ -194,7 +194,7 @@ fn what_a_node_cannot_do_is_refused_with_the_place() {
         ),
         (
             json!([{"home": {"axis": 0}}]),
-            "commands[0].home: not supported by this node's firmware",
+            "commands[0].home.axis: axis 0 of this node has no reference switch",
         ),
         (
             json!([pause, pause, {"barrier": {"name": "x"}}]),
@@ -234,6 +234,23 @@ fn what_a_node_cannot_do_is_refused_with_the_place() {
     rig.node("left").features = Features::BASIC.with(Features::RAMPS);
     rig.run(2 * S);
     rig.accept("left", &json!({"commands": [ramp]}));
+}
+
+#[test]
+fn an_axis_is_homed_if_it_has_a_switch() {
+    let mut rig = Rig::with_left();
+    let home = |axis: u8| json!({"commands": [{"home": {"axis": axis}}]});
+    let of_1 = keys::Command::Home {
+        axis: keys::AxisId(1),
+    };
+    rig.node("left").features = Features::BASIC.with(of_1.feature());
+    rig.run(2 * S);
+    rig.accept("left", &home(1));
+    let (_, message) = rig.refuse("left", &home(0));
+    let expected = "commands[0].home.axis: axis 0 of this node has no reference switch";
+    assert_eq!(message, expected);
+    let (_, message) = rig.refuse("left", &home(7));
+    assert!(message.contains("axis 7 does not exist"), "{message}");
 }
 
 #[test]

@@ -248,4 +248,9 @@ pub enum Refusal {
         /// Index in the batch, from 0.
         index: u16,
     },
+    /// The command at this index of the batch would lead an axis out of its soft limits.
+    OutOfReach {
+        /// Index in the batch, from 0.
+        index: u16,
+    },
 }

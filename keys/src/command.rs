@@ -4,7 +4,7 @@
 //! ring: eight words, see [`Command::to_words`]. (16 bytes would not hold `sync_move`: two
 //! delays and two signed step counts are 16 bytes before the tag.) Variants are only appended.
 
-use crate::AxisId;
+use crate::{AXES_MAX, AxisId};
 use serde::{Deserialize, Serialize};
 
 /// Words of one command in a ring.
@@ -156,6 +156,15 @@ impl Features {
     /// `movc`, `movd`, `statcd`.
     pub const CD: Self = Self(32);
 
+    /// `home` of this axis: a bit from 2²⁴ on for each, because it takes a switch.
+    pub const fn home_of(axis: AxisId) -> Self {
+        match 1_u32.checked_shl(24 + axis.0 as u32) {
+            Some(bit) if (axis.0 as usize) < AXES_MAX => Self(bit),
+            // A node without such an axis refuses it for that.
+            _ => Self(0),
+        }
+    }
+
     /// Returns whether all of `others` are here.
     pub const fn has(self, others: Self) -> bool {
         self.0 & others.0 == others.0
@@ -173,6 +182,7 @@ impl Features {
 pub struct WordsError;
 
 const _: () = assert!(size_of::<Command>() <= 4 * COMMAND_WORDS);
+const _: () = assert!(24 + AXES_MAX <= 32, "a bit for the home of each axis");
 
 impl Command {
     /// Returns what firmware must be able to do for this command.
@@ -185,7 +195,7 @@ impl Command {
             | Self::LidarRead
             | Self::SetPosition { .. } => Features::BASIC,
             Self::Ramp { .. } | Self::RampTo { .. } | Self::Line { .. } => Features::RAMPS,
-            Self::Home { .. } => Features::HOMING,
+            Self::Home { axis } => Features::HOMING.with(Features::home_of(*axis)),
             Self::Barrier { .. } => Features::BARRIERS,
             Self::MoveC { .. } | Self::MoveD { .. } | Self::StatusCd => Features::CD,
         }

@@ -75,6 +75,14 @@ impl FaultCode {
     pub const PLAN_LATE: Self = Self(204);
     /// Ledger and pulse counter disagree.
     pub const COUNT_MISMATCH: Self = Self(203);
+    /// An axis came to a limit, or was told to go beyond one.
+    pub const LIMIT: Self = Self(205);
+    /// An axis did not find its reference switch.
+    pub const HOMING: Self = Self(206);
+    /// C or D did not arrive where it was sent.
+    pub const NOT_THERE: Self = Self(207);
+    /// The shift register does not show what it was sent.
+    pub const SHIFT_REGISTER: Self = Self(208);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
 
@@ -86,6 +94,10 @@ impl FaultCode {
             Self::UNDERRUN => "queue ran dry in the middle of a job",
             Self::PLAN_LATE => "planner too late in the middle of a path",
             Self::COUNT_MISMATCH => "position and pulse counter disagree",
+            Self::LIMIT => "an axis at its limit",
+            Self::HOMING => "homing failed",
+            Self::NOT_THERE => "C or D did not arrive",
+            Self::SHIFT_REGISTER => "shift register does not follow",
             Self::PANIC => "firmware panic",
             _ => "unknown fault",
         }

@@ -242,6 +242,10 @@ fn acks_have_their_bytes() {
             Refusal::BadCommand { index: 200 },
             "01 f8 ac d1 91 01 03 02 06 c8 01 ac 02 80 01 80 20",
         ),
+        (
+            Refusal::OutOfReach { index: 200 },
+            "01 f8 ac d1 91 01 03 02 07 c8 01 ac 02 80 01 80 20",
+        ),
     ];
     for (refusal, expected) in refusals {
         check(ack(Verdict::Refused(refusal)), expected);

@@ -614,14 +614,36 @@ class Commands(Case):
         )
         self.assertEqual(self.finished(job)["result"]["position"][0], 2**53 + 3)
 
-    def test_commands_that_this_firmware_does_not_have_are_refused(self):
+    def test_an_axis_without_a_reference_switch_is_not_homed(self):
         self.refused(
             "bad_command",
             self.node,
             a_job(move(1), {"home": {"axis": 1}}),
-            "commands[1].home",
-            "not supported by this node's firmware",
+            "commands[1].home.axis",
+            "axis 1 of this node has no reference switch",
         )
+
+    def test_an_axis_is_homed_and_its_switch_has_the_position(self):
+        node = self.new_node("home", 2, "home=1:min@-150")
+        job = fresh()
+        home = {"home": {"axis": 1}}
+        submit(node, a_job(move(7), home, id=job))
+        # It ends 200 steps off its switch.
+        self.assertEqual(self.finished(job)["result"]["position"], [7, 200])
+        self.assertEqual(node_record(node)["position"], [7, 200])
+        self.assertEqual(world.fixture.pulses(node, 1), 50)
+        self.refused("bad_command", node, a_job({"home": {"axis": 0}}), "axis 0")
+
+    def test_a_limit_stops_the_node_and_says_so(self):
+        node = self.new_node("limit", 2, "limit=0:max@40")
+        job = submit(node, a_job(move(1_000, 1_000), move(5)))["job"]
+        self.assertEqual(self.finished(job, "failed")["error"]["code"], "stopped")
+        found = node_in(node, "stopped")
+        self.assertEqual(found["stopped"]["reason"], "limit")
+        self.assertEqual(found["faults"][-1]["code"], 205)
+        self.assertEqual(found["position"][0], world.fixture.pulses(node))
+        self.assertIn(found["position"][0], [40, 41])
+        self.refused("stopped", node, a_job(move(-5)))
 
     def test_a_barrier_outside_a_synchronized_job_is_refused_with_the_place(self):
         job = a_job(move(1), {"barrier": {"name": "layer-2"}})
@@ -1929,7 +1951,7 @@ class Offline(Case):
         down(node)
         self.refused("bad_command", node, a_job(move(1, axis=2)))
         home = {"home": {"axis": 0}}
-        self.refused("bad_command", node, a_job(home), "not supported by this node's firmware")
+        self.refused("bad_command", node, a_job(home), "has no reference switch")
 
     def test_a_waiting_job_can_be_canceled_while_its_node_is_away(self):
         node = self.new_node("cx")

@@ -13,7 +13,7 @@
 //! believe the product. Needs `python3` with `venv`, and PyPI once for each target directory.
 
 use anyhow::{Context, Result, bail, ensure};
-use emulator::{EmulatedHandle, EmulatorConfig};
+use emulator::{EmulatedHandle, EmulatorConfig, wiring::Wiring};
 use gateway::{config::GatewayConfig, service::Service};
 use keys::{AxisId, NodeId};
 use std::{
@@ -190,8 +190,8 @@ impl Fixture {
     async fn obey(&mut self, line: &str) -> Result<String> {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words[..] {
-            ["up", name] => self.up(name, 2),
-            ["up", name, axes] => self.up(name, axes.parse()?),
+            ["up", name] => self.up(name, 2, &[]),
+            ["up", name, axes, ref switches @ ..] => self.up(name, axes.parse()?, switches),
             ["down", name] => {
                 let node = self.nodes.remove(name).context("no such node")?;
                 node.shutdown().await;
@@ -219,14 +219,23 @@ impl Fixture {
         }
     }
 
-    fn up(&mut self, name: &str, axis_count: usize) -> Result<String> {
-        let config = EmulatorConfig {
+    /// `switches`: `home=0:min@-300` for one by which an axis is homed, `limit=…` for another.
+    fn up(&mut self, name: &str, axis_count: usize, switches: &[&str]) -> Result<String> {
+        let mut config = EmulatorConfig {
             connect: self.locator.clone(),
             axis_count,
             // The gateway restarts while nodes move, and a busy machine takes its time for that.
             link_loss_after_us: 600_000_000,
             ..EmulatorConfig::new(NodeId::new(name)?)
         };
+        for switch in switches {
+            let (kind, wiring) = switch.split_once('=').context("no switch")?;
+            let wiring: Wiring = wiring.parse()?;
+            match kind {
+                "home" => wiring.wire_home(&mut config)?,
+                _ => wiring.wire(&mut config)?,
+            }
+        }
         ensure!(!self.nodes.contains_key(name), "it is there");
         self.nodes.insert(name.to_owned(), emulator::spawn(config)?);
         Ok(String::new())

@@ -310,7 +310,9 @@ impl Node {
         }
         for (index, command) in commands.iter().enumerate() {
             let word = word_of(command);
-            if !self.facts.features.has(command.feature()) {
+            if !self.facts.features.has(command.feature())
+                && !matches!(command, keys::Command::Home { .. })
+            {
                 let message =
                     format!("commands[{index}].{word}: not supported by this node's firmware");
                 return Err(JobError::new(ErrorCode::BadCommand, message));
@@ -332,6 +334,15 @@ impl Node {
                 let message = format!(
                     "commands[{index}].{word}.{field}: {}",
                     no_such_axis(axis, axis_count)
+                );
+                return Err(JobError::new(ErrorCode::BadCommand, message));
+            }
+            if let keys::Command::Home { axis } = command
+                && !self.facts.features.has(command.feature())
+            {
+                let axis = axis.0;
+                let message = format!(
+                    "commands[{index}].{word}.axis: axis {axis} of this node has no reference switch"
                 );
                 return Err(JobError::new(ErrorCode::BadCommand, message));
             }

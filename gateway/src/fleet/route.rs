@@ -93,6 +93,11 @@ pub enum Setback {
         /// Index in the job, from 0.
         index: u64,
     },
+    /// The command at this index of the job would lead an axis of the node out of its soft limits.
+    OutOfReach {
+        /// Index in the job, from 0.
+        index: u64,
+    },
     /// The node does not understand the orders at all.
     Malformed,
 }
@@ -178,16 +183,14 @@ impl Route {
                 self.hold(now);
                 Setback::None
             }
-            Refusal::BadCommand { index } => {
-                let number = accepted + u64::from(index);
-                if number < self.end {
-                    Setback::BadCommand {
-                        index: number - self.base,
-                    }
-                } else {
-                    Setback::None
-                }
-            }
+            Refusal::BadCommand { index } => match self.index_of(accepted, index) {
+                Some(index) => Setback::BadCommand { index },
+                None => Setback::None,
+            },
+            Refusal::OutOfReach { index } => match self.index_of(accepted, index) {
+                Some(index) => Setback::OutOfReach { index },
+                None => Setback::None,
+            },
             Refusal::Malformed => {
                 self.malformed_count += 1;
                 if self.malformed_count >= MALFORMED_COUNT_MAX {
@@ -197,6 +200,12 @@ impl Route {
                 Setback::None
             }
         }
+    }
+
+    /// Returns the place in the job of a command in the batch that was refused, if it is there.
+    fn index_of(&self, accepted: u64, index: u16) -> Option<u64> {
+        let number = accepted + u64::from(index);
+        (number < self.end).then(|| number - self.base)
     }
 
     /// Sends what may be sent: `limit` is the number up to which the node has room, `commands`

@@ -1,13 +1,27 @@
 //! Every setting of an emulated node, with unit and default.
 
-use crate::pulse::RmtConfig;
-use keys::{Keys, NodeId};
-use motion::MotionConfig;
+use crate::{
+    machine::{MachineConfig, MachineSwitch},
+    pins::{CARRIAGE_C, CARRIAGE_D},
+    pulse::RmtConfig,
+    record::HomeFacts,
+};
+use keys::{AxisId, Keys, NodeId};
+use motion::{
+    ConfigCd, ConfigError, Direction, MotionConfig,
+    io::{
+        home::HomeConfig,
+        input::{Filter, INPUTS_MAX, InputConfig, InputMap, MapError, Role, Switch},
+        named::POSITIONS_C,
+    },
+    limits::CHANNELS,
+};
 use node::{
     LinkLoss,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, RING_COMMANDS_DEFAULT},
 };
 pub use pico::session::Credentials;
+use std::ops::RangeInclusive;
 
 /// What is kept for the oracle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,6 +56,8 @@ pub struct EmulatorConfig {
     pub link_loss: LinkLoss,
     /// How long the link must be gone for that, µs; two seconds by default.
     pub link_loss_after_us: u64,
+    /// The machine around it; no switches by default.
+    pub machine: MachineConfig,
     /// The virtual pulse unit.
     pub rmt: RmtConfig,
     /// From which every random number follows; 0 by default.
@@ -69,6 +85,7 @@ impl EmulatorConfig {
             motion: MotionConfig::default(),
             link_loss: LinkLoss::default(),
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
+            machine: MachineConfig::default(),
             rmt: RmtConfig::default(),
             seed: 0,
             record: Recording::default(),
@@ -78,4 +95,133 @@ impl EmulatorConfig {
             credentials: None,
         }
     }
+
+    /// Returns what the node is told of its axes.
+    pub fn motion_config(&self) -> MotionConfig {
+        MotionConfig {
+            axis_count: self.axis_count,
+            ..self.motion.clone()
+        }
+    }
+
+    /// Puts a switch that is normally closed in the way of an axis: a limit is pressed from `at_steps`
+    /// on outward, a home switch for as many steps as an axis backs off at most.
+    ///
+    /// # Errors
+    /// There is no room for another input.
+    pub fn add_switch(
+        &mut self,
+        axis: AxisId,
+        switch: Switch,
+        at_steps: i64,
+    ) -> Result<(), MapError> {
+        let pressed = match switch {
+            Switch::Min => i64::MIN..=at_steps,
+            Switch::Max => at_steps..=i64::MAX,
+            Switch::Home => at_steps - HOME_SWITCH_STEPS..=at_steps,
+        };
+        self.add_input(Role::Axis { axis, switch }, axis.index(), pressed)
+    }
+
+    /// Gives the node C and D with the default tables, a limit at each end of both: those of D where
+    /// its ends are, C's so far outside its positions.
+    ///
+    /// # Errors
+    /// There is no room for so many inputs.
+    pub fn add_cd(&mut self, c_margin_steps: i64) -> Result<(), MapError> {
+        let cd = ConfigCd::default();
+        let steps = |um: i64, per_m: u32| um * i64::from(per_m) / 1_000_000;
+        let c_end = steps(
+            i64::from(cd.c.positions[POSITIONS_C - 1].position_um),
+            cd.c.steps_per_m,
+        );
+        let d_end = steps(i64::from(cd.d.travel_um), cd.d.steps_per_m);
+        self.motion.cd = Some(cd);
+        self.add_input(Role::C(Switch::Min), CARRIAGE_C, i64::MIN..=-c_margin_steps)?;
+        self.add_input(
+            Role::C(Switch::Max),
+            CARRIAGE_C,
+            c_end + c_margin_steps..=i64::MAX,
+        )?;
+        self.add_input(Role::D(Switch::Min), CARRIAGE_D, i64::MIN..=0)?;
+        self.add_input(Role::D(Switch::Max), CARRIAGE_D, d_end..=i64::MAX)
+    }
+
+    fn add_input(
+        &mut self,
+        role: Role,
+        carriage: usize,
+        pressed: RangeInclusive<i64>,
+    ) -> Result<(), MapError> {
+        let mut inputs: Vec<_> = (0..INPUTS_MAX)
+            .map_while(|index| self.motion.inputs.get(index).copied())
+            .collect();
+        inputs.push(InputConfig {
+            role,
+            active_low: false,
+            filter: Filter::default(),
+        });
+        self.motion.inputs = InputMap::new(&inputs, CHANNELS)?;
+        self.machine.switches.push(MachineSwitch {
+            input: inputs.len() - 1,
+            carriage,
+            pressed,
+            hysteresis_steps: 5,
+        });
+        Ok(())
+    }
+
+    /// Says how an axis is homed.
+    pub fn set_home(&mut self, axis: AxisId, home: HomeConfig) {
+        if let Some(place) = self.motion.homes.get_mut(axis.index()) {
+            *place = Some(home);
+        }
+    }
+
+    /// Checks what the types do not.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, with its place.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        self.motion_config().check()
+    }
+
+    /// The axes whose direction pin is low for positive.
+    pub(crate) fn inverted(&self) -> Vec<bool> {
+        let axes = self.motion.axes[..self.axis_count].iter();
+        axes.map(|axis| axis.direction_inverted).collect()
+    }
+
+    /// What the oracle knows of the homes.
+    pub(crate) fn home_facts(&self) -> Vec<HomeFacts> {
+        let motion = self.motion_config();
+        let facts = motion.homes().filter_map(|(axis, home)| {
+            let role = Role::Axis {
+                axis,
+                switch: home.switch,
+            };
+            let input_of = |index: &usize| {
+                let input = motion.inputs.get(*index);
+                input.is_some_and(|input| input.role == role)
+            };
+            let input = (0..INPUTS_MAX).find(input_of)?;
+            let active_low = motion.inputs.get(input)?.active_low;
+            Some(HomeFacts {
+                axis,
+                input,
+                active_level: !active_low,
+                positive: home.direction == Direction::Positive,
+                seek_hz: home.seek_hz,
+                approach_hz: home.approach_hz,
+                accel_hz_per_s: home.accel_hz_per_s,
+                travel_steps_max: home.travel_steps_max,
+                home_position_steps: home.home_position_steps,
+                pull_off_steps: home.pull_off_steps,
+            })
+        });
+        facts.collect()
+    }
 }
+
+/// Length of an emulated home switch, steps.
+const HOME_SWITCH_STEPS: i64 = 1_000;

@@ -6,13 +6,19 @@
 
 use crate::{
     config::{EmulatorConfig, Recording},
+    machine::Machine,
     memory::RingMemory,
+    pins::{Pin, PinEvent},
     pulse::VirtualRmt,
-    record::{Life, TakenCommand},
+    record::{InputEdge, Life, TakenCommand},
     vcd::VcdWriter,
 };
 use keys::{
     AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
+};
+use motion::{
+    MotionConfig, StepBackend, TICKS_PER_US, Ticks,
+    io::{enable::OutputChange, input::PinLevel},
 };
 use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
 use std::{
@@ -23,6 +29,16 @@ use std::{
 /// Time that the emulated lidar takes for a reading.
 pub const LIDAR_US: u64 = 20_000;
 
+/// Time that a word takes to the emulated shift register and back.
+pub const SHIFT_US: u64 = 100;
+
+/// Time between two looks at the switches while one could change: how late the node hears of it at
+/// most, as a board's task hears of an interrupt.
+pub const LOOK_US: u64 = 50;
+
+/// Steps that an axis makes at most in one microsecond.
+const STEPS_PER_US: u64 = 5;
+
 /// Past boots that are kept. More: the oldest is forgotten.
 pub const PAST_LIVES_MAX: usize = 64;
 
@@ -31,6 +47,9 @@ pub const PAST_LIVES_MAX: usize = 64;
 pub struct Bench {
     laser_percent: u8,
     lidar_requested: bool,
+    enables: Vec<PinEvent>,
+    /// What was shifted out and not yet read back.
+    shifted: Option<u32>,
 }
 
 impl Bench {
@@ -48,6 +67,18 @@ impl Outputs for Bench {
     fn request_lidar(&mut self) {
         self.lidar_requested = true;
     }
+
+    fn shift_out(&mut self, word: u32) {
+        self.shifted = Some(word);
+    }
+
+    fn set_enable(&mut self, change: OutputChange, at: Ticks) {
+        self.enables.push(PinEvent {
+            at_ticks: at.0,
+            pin: Pin::Enable(change.output as u8),
+            level: change.levels()[1],
+        });
+    }
 }
 
 /// The node inside an [`EmulatedNode`].
@@ -59,12 +90,20 @@ pub struct EmulatedNode {
     node: InnerNode,
     memory: RingMemory,
     config: EmulatorConfig,
+    machine: Machine,
+    /// Up to when the machine was looked at.
+    looked_at: LocalMicros,
     boots: u64,
     lidar_due: Option<LocalMicros>,
+    /// What the shift register shows, and when that is read back.
+    shift_due: Option<(LocalMicros, u32)>,
+    /// The next so many words that are read back are wrong.
+    shift_errors: u32,
     lidar_readings: u64,
     commands: Vec<TakenCommand>,
     stops: Vec<keys::StopReport>,
-    edges: Vec<crate::pins::PinEvent>,
+    edges: Vec<PinEvent>,
+    inputs: Vec<InputEdge>,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -83,18 +122,38 @@ impl std::fmt::Debug for EmulatedNode {
 impl EmulatedNode {
     /// Boots a node: its time begins at 0, its link is down, its positions are 0. `boot` is the
     /// random number that tells boots apart.
+    ///
+    /// # Panics
+    /// [`EmulatorConfig::check`] finds something wrong.
     pub fn new(config: EmulatorConfig, boot: u32) -> Self {
+        if let Err(error) = config.check() {
+            panic!("{error}");
+        }
         let memory = RingMemory::take(config.ring_commands * COMMAND_WORDS);
+        let is_active_low = |input| {
+            let input = config.motion.inputs.get(input);
+            input.is_some_and(|input| input.active_low)
+        };
+        let inverted = std::array::from_fn(|carriage| {
+            let axis = config.motion.axes.get(carriage);
+            axis.is_some_and(|axis| axis.direction_inverted)
+        });
+        let machine = Machine::new(config.machine.clone(), is_active_low, inverted, config.seed);
         Self {
-            node: boot_node(&memory, &config, boot, 0),
+            node: boot_node(&memory, &config, machine.levels(), boot, 0),
             memory,
+            machine,
+            looked_at: LocalMicros(0),
             config,
             boots: 1,
             lidar_due: None,
+            shift_due: None,
+            shift_errors: 0,
             lidar_readings: 0,
             commands: Vec::new(),
             stops: Vec::new(),
             edges: Vec::new(),
+            inputs: Vec::new(),
             cut: false,
             past: Vec::new(),
             vcd: None,
@@ -107,7 +166,16 @@ impl EmulatedNode {
     /// # Errors
     /// Those of `out`.
     pub fn dump_to(&mut self, out: Box<dyn Write + Send>) -> io::Result<()> {
-        let vcd = VcdWriter::new(out, &self.config.name, self.node.motion().axis_count())?;
+        let axes = (0..self.node.motion().axis_count()).map(|axis| AxisId(axis as u8));
+        let mut pins: Vec<_> = axes
+            .flat_map(|axis| [Pin::Step(axis), Pin::Direction(axis)])
+            .collect();
+        if self.config.motion.cd.is_some() {
+            pins.extend([Pin::StepC, Pin::DirectionC, Pin::StepD, Pin::DirectionD]);
+        }
+        let enables = 0..self.config.motion.enables.len();
+        pins.extend(enables.map(|output| Pin::Enable(output as u8)));
+        let vcd = VcdWriter::new(out, &self.config.name, pins)?;
         self.vcd = Some(vcd);
         self.node.motion_mut().backend_mut().record_edges(true);
         Ok(())
@@ -138,6 +206,7 @@ impl EmulatedNode {
 
     /// Takes a message on one of the node's keys.
     pub fn handle(&mut self, topic: NodeTopic, payload: &[u8], now: LocalMicros) {
+        self.look(now);
         let queue = self.node.queue();
         let accepted = self.node.motion().accepted_commands();
         self.inbound(Inbound::Message { topic, payload }, now);
@@ -148,8 +217,35 @@ impl EmulatedNode {
 
     /// Takes anything else that comes in.
     pub fn inbound(&mut self, inbound: Inbound<'_>, now: LocalMicros) {
+        self.look(now);
         self.node.handle(now, inbound);
         self.observe(now);
+    }
+
+    /// Gives an input pin a level by hand: a stop button, a probe.
+    pub fn set_input(&mut self, index: usize, level: bool, now: LocalMicros) {
+        self.look(now);
+        self.poll(now);
+        let counted_steps = std::array::from_fn(|axis| self.step_count(AxisId(axis as u8)));
+        let level = PinLevel {
+            index,
+            level,
+            at: Ticks(now.0 * TICKS_PER_US),
+            counted_steps,
+        };
+        self.record_input(level);
+        self.inbound(Inbound::Input(level), now);
+    }
+
+    /// Returns where the carriage of an axis is, steps of the machine.
+    pub fn place_steps(&self, axis: AxisId) -> i64 {
+        self.carriage_steps(axis.index())
+    }
+
+    /// Returns where a carriage is, that of an axis or of C or D, steps of the machine. Without any
+    /// switch nobody has looked.
+    pub fn carriage_steps(&self, carriage: usize) -> i64 {
+        self.machine.place_steps(carriage)
     }
 
     /// Connects or cuts the link.
@@ -169,12 +265,14 @@ impl EmulatedNode {
 
     /// Lets the node find this fault, as the board would.
     pub fn fault(&mut self, code: keys::status::FaultCode, now: LocalMicros) {
+        self.look(now);
         self.node.fault(code, now);
         self.observe(now);
     }
 
     /// Lets time pass.
     pub fn poll(&mut self, now: LocalMicros) {
+        self.look(now);
         if self.lidar_due.is_some_and(|due| due <= now) {
             self.lidar_due = None;
             self.lidar_readings += 1;
@@ -182,13 +280,28 @@ impl EmulatedNode {
             let mm = 500 + splitmix(self.config.seed ^ self.lidar_readings) % 2_000;
             self.node.handle(now, Inbound::Lidar { mm: mm as u32 });
         }
+        if let Some((due, word)) = self.shift_due
+            && due <= now
+        {
+            self.shift_due = None;
+            let wrong = self.shift_errors > 0;
+            self.shift_errors = self.shift_errors.saturating_sub(1);
+            let word = if wrong { !word } else { word };
+            self.node.handle(now, Inbound::Shift { word });
+        }
         self.node.poll(now);
         self.observe(now);
     }
 
+    /// Disturbs the shift register: the next so many words that are read back are wrong.
+    pub fn disturb_shift(&mut self, words: u32) {
+        self.shift_errors = words;
+    }
+
     /// Returns when [`EmulatedNode::poll`] has something to do next.
     pub fn poll_timeout(&self) -> Option<LocalMicros> {
-        [self.node.poll_timeout(), self.lidar_due]
+        let shift_due = self.shift_due.map(|(due, _)| due);
+        [self.node.poll_timeout(), self.lidar_due, shift_due]
             .into_iter()
             .flatten()
             .min()
@@ -219,9 +332,13 @@ impl EmulatedNode {
             self.past.remove(0);
         }
         self.past.push(life);
-        self.node = boot_node(&self.memory, &self.config, boot, self.boots);
+        self.machine.reboot();
+        self.looked_at = LocalMicros(0);
+        let levels = self.machine.levels();
+        self.node = boot_node(&self.memory, &self.config, levels, boot, self.boots);
         self.boots += 1;
         self.lidar_due = None;
+        self.shift_due = None;
     }
 
     /// Returns what the node says about itself.
@@ -251,7 +368,7 @@ impl EmulatedNode {
     }
 
     /// Returns the changes of pins that were recorded since this boot.
-    pub fn edges(&self) -> &[crate::pins::PinEvent] {
+    pub fn edges(&self) -> &[PinEvent] {
         &self.edges
     }
 
@@ -263,6 +380,10 @@ impl EmulatedNode {
             commands: self.commands.clone(),
             stops: self.stops.clone(),
             edges: self.edges.clone(),
+            inputs: self.inputs.clone(),
+            homes: self.config.home_facts(),
+            inverted: self.config.inverted(),
+            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: self.cut,
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -288,6 +409,10 @@ impl EmulatedNode {
             commands: mem::take(&mut self.commands),
             stops: mem::take(&mut self.stops),
             edges: mem::take(&mut self.edges),
+            inputs: mem::take(&mut self.inputs),
+            homes: self.config.home_facts(),
+            inverted: self.config.inverted(),
+            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -330,10 +455,50 @@ impl EmulatedNode {
         }
     }
 
-    /// Notes what the last call did.
+    /// Lets time pass up to `now`, in steps that are short where a switch could change, so that the
+    /// node hears of it in time.
+    fn look(&mut self, now: LocalMicros) {
+        if self.machine.is_empty() {
+            return;
+        }
+        while self.looked_at < now {
+            let at = self.looked_at;
+            let mut next = now;
+            let backend = self.node.motion().backend();
+            if backend.is_playing() || backend.cd_pins().is_running() {
+                let quiet_us = self.machine.quiet_steps() / STEPS_PER_US;
+                next = next.min(at.plus_us(quiet_us.max(LOOK_US)));
+            }
+            if let Some(due) = self.node.poll_timeout() {
+                next = next.min(due.max(at.plus_us(1)));
+            }
+            self.looked_at = next;
+            self.node.poll(next);
+            self.observe(next);
+        }
+    }
+
+    /// Notes what the last call did, and tells the node what its inputs did.
     fn observe(&mut self, now: LocalMicros) {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
+        }
+        if let Some(word) = self.node.outputs_mut().shifted.take() {
+            self.shift_due = Some((now.plus_us(SHIFT_US), word));
+        }
+        loop {
+            let from = self.edges.len();
+            self.take_edges();
+            let until = Ticks(now.0 * TICKS_PER_US);
+            let levels = self.machine.follow(&self.edges[from..], until);
+            self.keep_edges(from);
+            if levels.is_empty() {
+                break;
+            }
+            for level in levels {
+                self.record_input(level);
+                self.node.handle(now, Inbound::Input(level));
+            }
         }
         if self.config.record != Recording::Off
             && let Some(stop) = self.node.last_stop()
@@ -341,14 +506,24 @@ impl EmulatedNode {
         {
             self.stops.push(stop.clone());
         }
-        if self.config.record == Recording::Off && self.vcd.is_none() {
-            return;
-        }
+    }
+
+    /// Takes the changes of pins since the last call, in order of time.
+    fn take_edges(&mut self) {
         let from = self.edges.len();
         self.edges
             .extend(self.node.motion_mut().backend_mut().take_edges());
+        if self.watches_pins() {
+            self.edges.append(&mut self.node.outputs_mut().enables);
+        } else {
+            self.node.outputs_mut().enables.clear();
+        }
         // Axes play one after the other within one call.
         self.edges[from..].sort_by_key(|event| event.at_ticks);
+    }
+
+    /// Keeps what is recorded of them.
+    fn keep_edges(&mut self, from: usize) {
         if let Some(vcd) = self.vcd.as_mut() {
             for event in &self.edges[from..] {
                 if let Err(error) = vcd.write(event) {
@@ -358,15 +533,34 @@ impl EmulatedNode {
                 }
             }
         }
-        let edges_max = match self.config.record {
-            Recording::Off => 0,
-            Recording::Edges { max } => max,
-        };
-        if self.cut {
+        let edges_max = self.recorded_max();
+        if self.cut || edges_max == 0 {
             self.edges.truncate(from);
         } else if self.edges.len() > edges_max {
             self.edges.truncate(edges_max);
             self.cut = true;
+        }
+    }
+
+    fn record_input(&mut self, level: PinLevel) {
+        if self.inputs.len() < self.recorded_max() {
+            self.inputs.push(InputEdge {
+                at_ticks: level.at.0,
+                index: level.index,
+                level: level.level,
+                counted_steps: level.counted_steps,
+            });
+        }
+    }
+
+    fn watches_pins(&self) -> bool {
+        self.vcd.is_some() || self.recorded_max() > 0
+    }
+
+    fn recorded_max(&self) -> usize {
+        match self.config.record {
+            Recording::Off => 0,
+            Recording::Edges { max } => max,
         }
     }
 }
@@ -392,15 +586,23 @@ impl node::run::Host for EmulatedNode {
     }
 }
 
-fn boot_node(memory: &RingMemory, config: &EmulatorConfig, boot: u32, boots: u64) -> InnerNode {
+fn boot_node(
+    memory: &RingMemory,
+    config: &EmulatorConfig,
+    input_levels: u32,
+    boot: u32,
+    boots: u64,
+) -> InnerNode {
     let seed = splitmix(config.seed.wrapping_add(boots));
     let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
-    backend.record_edges(config.record != Recording::Off);
-    let mut motion = config.motion.clone();
-    motion.axis_count = config.axis_count;
+    let watched = !config.machine.switches.is_empty();
+    backend.record_edges(config.record != Recording::Off || watched);
     let node_config = NodeConfig {
         keys: config.keys.clone(),
-        motion,
+        motion: MotionConfig {
+            input_levels,
+            ..config.motion_config()
+        },
         link_loss: config.link_loss,
         link_loss_after_us: config.link_loss_after_us,
         ..NodeConfig::new(config.name, boot)

@@ -4,12 +4,14 @@
 //!  zenoh router ◀── tokio TcpStream ──▶ node::run ──▶ Node ──▶ motion ──▶ VirtualRmt ──▶ PinEvent
 //!                    wall.rs             LocalClock                        pulse.rs       │   │
 //!                                                                              vcd.rs ◀───┘   ▼
-//!                                                     record.rs: Life ─────────────▶ oracle.rs
+//!                      machine.rs ─levels─▶ Node      record.rs: Life ─────────────▶ oracle.rs
+//!                          ▲──────────────────────────────────────────────────────── PinEvent
 //! ```
 //!
 //! Two doors: [`EmulatedNode`] takes bytes and times and never waits (tests, virtual time);
 //! [`spawn`] runs one on a real clock and a real socket (the program `emulator`, `fleet demo`).
 
+pub mod cd;
 pub mod clock;
 pub mod config;
 pub mod emulated;
@@ -20,7 +22,9 @@ pub mod pulse;
 pub mod record;
 pub mod vcd;
 pub mod wall;
+pub mod wiring;
 
+pub mod machine;
 mod memory;
 
 pub use config::{Credentials, EmulatorConfig, Recording};

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, ValueEnum};
 use emulator::{
     Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX, oracle,
-    record::Life,
+    record::Life, wiring::Wiring,
 };
 use keys::{Keys, NodeId};
 use motion::limits::CHANNELS;
@@ -24,6 +24,7 @@ use std::{
     emulator --name left                      one node for the gateway on this machine\n  \
     emulator --nodes 8                        node-1 to node-8\n  \
     emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
+    emulator --home 0:min@-300 --limit 0:max@5000   axis 0 can be homed, and has a limit\n  \
     emulator --nodes 4 --check                judge every pulse; exit code 1 on a violation\n\n\
     Exit codes: 0 stopped by a signal, 1 --check found a violation or an error, 2 bad option.")]
 struct Args {
@@ -51,6 +52,23 @@ struct Args {
     /// Axes of each node.
     #[arg(long, value_name = "COUNT", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=CHANNELS as i64))]
     axes: u8,
+
+    /// A switch by which an axis is homed, at a place of the machine, which is switched on at 0:
+    /// AXIS:min@STEPS, AXIS:max@STEPS or AXIS:home@STEPS. May be given several times.
+    #[arg(long, value_name = "AXIS:SWITCH@STEPS")]
+    home: Vec<Wiring>,
+
+    /// A limit switch that stops; written like --home.
+    #[arg(long, value_name = "AXIS:SWITCH@STEPS")]
+    limit: Vec<Wiring>,
+
+    /// Give each node the axes C and D, with a limit at each end of both.
+    #[arg(long)]
+    cd: bool,
+
+    /// Longest that a switch bounces, µs.
+    #[arg(long, value_name = "US", default_value_t = 1_000, value_parser = clap::value_parser!(u64).range(..=100_000))]
+    bounce_us: u64,
 
     /// Commands that the queue of each node holds.
     #[arg(long, value_name = "COMMANDS", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(16..=1_048_576))]
@@ -95,6 +113,9 @@ struct Args {
     seed: u64,
 }
 
+/// The limits of C lie so far outside its positions: 0.3 mm.
+const CD_MARGIN_STEPS: i64 = 24;
+
 /// See [`LinkLoss`].
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum OnLinkLoss {
@@ -137,7 +158,7 @@ impl Args {
                     (name, _) => format!("{}-{number}", name.as_deref().unwrap_or("node")),
                 };
                 let id = NodeId::new(&name).with_context(|| format!("--name: {name:?}"))?;
-                Ok(EmulatorConfig {
+                let mut config = EmulatorConfig {
                     keys: keys.clone(),
                     axis_count: usize::from(self.axes),
                     ring_commands: self.ring as usize,
@@ -149,7 +170,19 @@ impl Args {
                     clock_drift_ppb: (self.clock_drift_ppm * 1_000.0) as i64,
                     credentials: credentials.clone(),
                     ..EmulatorConfig::new(id)
-                })
+                };
+                config.machine.bounce_us_max = self.bounce_us;
+                for limit in &self.limit {
+                    limit.wire(&mut config).context("--limit")?;
+                }
+                for home in &self.home {
+                    home.wire_home(&mut config).context("--home")?;
+                }
+                if self.cd {
+                    config.add_cd(CD_MARGIN_STEPS).context("--cd")?;
+                }
+                config.check()?;
+                Ok(config)
             })
             .collect()
     }
@@ -297,6 +330,8 @@ mod tests {
         assert!(error(&["--clock-drift-ppm", "2e9"]).contains("--clock-drift-ppm"));
         assert!(error(&["--axes", "7"]).contains("--axes"));
         assert!(error(&["--nodes", "0"]).contains("--nodes"));
+        assert!(error(&["--home", "0:low@3"]).contains("AXIS:SWITCH@STEPS"));
+        assert!(error(&["--home", "2:min@3"]).contains("there is no axis 2"));
         assert!(error(&["--user", "u"]).contains("--password-file"));
     }
 

@@ -14,6 +14,7 @@
 //! | axes that start together | within [`Limits::skew_ticks`] |
 //! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
+//! | homing: ways, speeds, and the position of the switch | to the step |
 //! | position = counter = counted edges | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
@@ -27,14 +28,16 @@
 //! | `moves` | raw moves |
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
+//! | `homing` | the way to a reference switch and off it |
 
+mod homing;
 mod moves;
 mod paths;
 mod pins;
 mod queues;
 mod track;
 
-use crate::record::Life;
+use crate::record::{HomeFacts, InputEdge, Life};
 use keys::Command;
 use std::fmt;
 
@@ -182,14 +185,8 @@ pub fn check_life(life: &Life) -> Result<Summary, Vec<Violation>> {
 /// # Errors
 /// As [`check_life`].
 pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
-    let mut judge = Judge {
-        limits: &Limits::default(),
-        axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
-        summary: Summary::default(),
-        violations: Vec::new(),
-        more: 0,
-        lost: false,
-    };
+    let limits = Limits::default();
+    let mut judge = Judge::new(life, &limits);
     judge.read_pins(&life.edges);
     if judge.violations.is_empty() {
         Ok(())
@@ -203,14 +200,7 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
 /// # Errors
 /// As [`check_life`].
 pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violation>> {
-    let mut judge = Judge {
-        limits,
-        axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
-        summary: Summary::default(),
-        violations: Vec::new(),
-        more: 0,
-        lost: false,
-    };
+    let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
     judge.read_queues(life);
     judge.summary.steps = judge
@@ -279,9 +269,31 @@ struct Judge<'l> {
     more: u64,
     /// A path had a fault: which step belongs to which later command cannot be told.
     lost: bool,
+    inputs: &'l [InputEdge],
+    homes: &'l [HomeFacts],
+    inverted: &'l [bool],
+    lidar_waits: bool,
+    /// Nothing of what is still to be read leaves before this, ticks.
+    not_before: u64,
 }
 
-impl Judge<'_> {
+impl<'l> Judge<'l> {
+    fn new(life: &'l Life, limits: &'l Limits) -> Self {
+        Self {
+            limits,
+            axes: (0..life.axis_count).map(|_| Seen::default()).collect(),
+            summary: Summary::default(),
+            violations: Vec::new(),
+            more: 0,
+            lost: false,
+            inputs: &life.inputs,
+            homes: &life.homes,
+            inverted: &life.inverted,
+            lidar_waits: life.lidar_waits,
+            not_before: 0,
+        }
+    }
+
     fn wrong(&mut self, at_ticks: impl Into<Option<u64>>, message: String) {
         if self.violations.len() == VIOLATIONS_MAX {
             self.more += 1;

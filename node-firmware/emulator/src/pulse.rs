@@ -23,12 +23,13 @@
 //! nothing of the ledger.
 
 use crate::{
+    cd::VirtualCd,
     emulated::splitmix,
     pins::{Pin, PinEvent},
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
+    Axis, AxisProfile, CdBackend, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
     limits::{CHANNEL_WORDS, CHANNELS, REFILL_WORDS},
 };
 
@@ -70,7 +71,10 @@ struct Channel {
     /// Words of this half were played again before their refill came.
     stale: bool,
     level: bool,
+    /// Level of the direction pin.
     direction: bool,
+    /// It is low for positive.
+    inverted: bool,
     /// The pulse counter: active edges with sign.
     counted_steps: i64,
 }
@@ -96,6 +100,7 @@ pub struct VirtualRmt {
     lapped: bool,
     record: bool,
     edges: Vec<PinEvent>,
+    cd: VirtualCd,
 }
 
 /// Where edges go.
@@ -128,6 +133,7 @@ impl Channel {
             stale: false,
             level: false,
             direction: false,
+            inverted: false,
             counted_steps: 0,
         }
     }
@@ -138,13 +144,14 @@ impl Channel {
         }
         self.level = level;
         if level {
-            self.counted_steps += if self.direction { 1 } else { -1 };
+            let positive = self.direction != self.inverted;
+            self.counted_steps += if positive { 1 } else { -1 };
         }
         scope.note(at, Pin::Step(scope.axis), level);
     }
 
-    fn turn(&mut self, at: u64, direction: Direction, scope: &mut Scope<'_>) {
-        let level = direction == Direction::Positive;
+    fn turn(&mut self, at: u64, level: bool, inverted: bool, scope: &mut Scope<'_>) {
+        self.inverted = inverted;
         if level != self.direction {
             self.direction = level;
             scope.note(at, Pin::Direction(scope.axis), level);
@@ -246,7 +253,13 @@ impl VirtualRmt {
             lapped: false,
             record: false,
             edges: Vec::new(),
+            cd: VirtualCd::new(),
         }
+    }
+
+    /// Returns C and D, to look at.
+    pub fn cd_pins(&self) -> &VirtualCd {
+        &self.cd
     }
 
     /// Begins or ends keeping every change of a pin for [`VirtualRmt::take_edges`].
@@ -256,7 +269,9 @@ impl VirtualRmt {
 
     /// Gives the changes of pins since the last call, each axis in order of time.
     pub fn take_edges(&mut self) -> impl Iterator<Item = PinEvent> + use<'_> {
-        self.edges.drain(..)
+        let record = self.record;
+        let cd = self.cd.take_edges().filter(move |_| record);
+        self.edges.drain(..).chain(cd)
     }
 
     /// Returns the emulated pulse counter: steps with sign since boot, counted at the pins.
@@ -299,9 +314,16 @@ impl VirtualRmt {
             self.lapped = true;
             return Some(refill.at);
         }
-        let fill = self.axes[index].fill(refill.half);
+        let axis = &mut self.axes[index];
+        let fill = axis.fill(refill.half);
         if let Some(direction) = fill.turn {
-            channel.turn(refill.at, direction, &mut scope);
+            let inverted = !axis.direction_level(Direction::Positive);
+            channel.turn(
+                refill.at,
+                axis.direction_level(direction),
+                inverted,
+                &mut scope,
+            );
         }
         channel.load(refill.half, &fill);
         Some(refill.at)
@@ -349,7 +371,8 @@ impl StepBackend for VirtualRmt {
                     axis.fill(half)
                 };
                 if let Some(direction) = fill.turn {
-                    channel.turn(now, direction, &mut scope);
+                    let inverted = !axis.direction_level(Direction::Positive);
+                    channel.turn(now, axis.direction_level(direction), inverted, &mut scope);
                 }
                 channel.load(half, &fill);
             }
@@ -428,6 +451,14 @@ impl StepBackend for VirtualRmt {
 
     fn counted_steps(&self, axis: AxisId) -> Option<i64> {
         Some(self.step_count(axis))
+    }
+
+    fn cd(&mut self) -> Option<&mut dyn CdBackend> {
+        Some(&mut self.cd)
+    }
+
+    fn counted_c(&self) -> i64 {
+        CdBackend::counted_c(&self.cd)
     }
 
     fn take_fault(&mut self) -> Option<FaultCode> {

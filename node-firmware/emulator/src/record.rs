@@ -4,7 +4,7 @@
 //! so what is there is a whole beginning.
 
 use crate::pins::PinEvent;
-use keys::{Command, LocalMicros, QueueId, Status, StopReport};
+use keys::{AxisId, Command, LocalMicros, QueueId, Status, StopReport, command::LINE_AXES};
 
 /// A command that a node took into its ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +17,44 @@ pub struct TakenCommand {
     pub number: u64,
     /// The command.
     pub command: Command,
+}
+
+/// A change of an input pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputEdge {
+    /// When, in ticks since the node's boot.
+    pub at_ticks: u64,
+    /// Index of the input.
+    pub index: usize,
+    /// Its level from then on.
+    pub level: bool,
+    /// Where the pulse counters of the axes were then, steps since boot.
+    pub counted_steps: [i64; LINE_AXES],
+}
+
+/// What `home` means for one axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HomeFacts {
+    /// The axis.
+    pub axis: AxisId,
+    /// Index of its switch's input.
+    pub input: usize,
+    /// Level of that while the switch is pressed.
+    pub active_level: bool,
+    /// The switch is looked for in positive direction.
+    pub positive: bool,
+    /// Greatest speed of the seek, Hz.
+    pub seek_hz: u32,
+    /// Greatest speed of all that follows, Hz.
+    pub approach_hz: u32,
+    /// Greatest acceleration, steps/s².
+    pub accel_hz_per_s: u32,
+    /// Longest way of the seek, steps.
+    pub travel_steps_max: u64,
+    /// Position of the switch.
+    pub home_position_steps: i64,
+    /// Where the axis ends: so many steps off the switch; 0 where it has stopped.
+    pub pull_off_steps: u64,
 }
 
 /// One boot of a node.
@@ -32,6 +70,14 @@ pub struct Life {
     pub stops: Vec<StopReport>,
     /// Every change of a pin, in order of time.
     pub edges: Vec<PinEvent>,
+    /// Every change of an input, in order of time.
+    pub inputs: Vec<InputEdge>,
+    /// How the axes are homed that can be.
+    pub homes: Vec<HomeFacts>,
+    /// Axes whose direction pin is low for positive.
+    pub inverted: Vec<bool>,
+    /// Whether the queue rests at `lidar_read` until the reading has come.
+    pub lidar_waits: bool,
     /// A list was full: later commands and edges are missing.
     pub cut: bool,
     /// The emulated pulse counter of each axis: steps with sign since boot.

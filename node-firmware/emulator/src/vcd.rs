@@ -4,7 +4,7 @@
 //! written as the node runs; what was written is readable at any moment.
 
 use crate::pins::{Pin, PinEvent};
-use keys::{AxisId, NodeId};
+use keys::NodeId;
 use std::io::{self, Write};
 
 /// Units of the file in one tick of 16 MHz.
@@ -14,7 +14,7 @@ pub const UNITS_PER_TICK: u64 = 625;
 #[derive(Debug)]
 pub struct VcdWriter<W> {
     out: W,
-    axis_count: usize,
+    pins: Vec<Pin>,
     written_at_ticks: Option<u64>,
 }
 
@@ -23,7 +23,7 @@ impl<W: Write> VcdWriter<W> {
     ///
     /// # Errors
     /// Those of `out`.
-    pub fn new(mut out: W, node: &NodeId, axis_count: usize) -> io::Result<Self> {
+    pub fn new(mut out: W, node: &NodeId, pins: Vec<Pin>) -> io::Result<Self> {
         writeln!(
             out,
             "$comment pins of node {node}, 16 MHz ticks since its boot $end"
@@ -35,35 +35,17 @@ impl<W: Write> VcdWriter<W> {
             "$scope module {} $end",
             node.as_str().replace('-', "_")
         )?;
-        for axis in 0..axis_count {
-            let axis = AxisId(axis as u8);
-            writeln!(
-                out,
-                "$var wire 1 {} step{} $end",
-                code(Pin::Step(axis)),
-                axis.0
-            )?;
-            writeln!(
-                out,
-                "$var wire 1 {} dir{} $end",
-                code(Pin::Direction(axis)),
-                axis.0
-            )?;
+        for (index, pin) in pins.iter().enumerate() {
+            writeln!(out, "$var wire 1 {} {} $end", code(index), name(*pin))?;
         }
         writeln!(out, "$upscope $end\n$enddefinitions $end\n#0\n$dumpvars")?;
-        for axis in 0..axis_count {
-            let axis = AxisId(axis as u8);
-            writeln!(
-                out,
-                "0{}\n0{}",
-                code(Pin::Step(axis)),
-                code(Pin::Direction(axis))
-            )?;
+        for index in 0..pins.len() {
+            writeln!(out, "0{}", code(index))?;
         }
         writeln!(out, "$end")?;
         Ok(Self {
             out,
-            axis_count,
+            pins,
             written_at_ticks: None,
         })
     }
@@ -71,18 +53,18 @@ impl<W: Write> VcdWriter<W> {
     /// Writes one change. Changes come in the order of their times.
     ///
     /// # Errors
-    /// Those of `out`; [`io::ErrorKind::InvalidInput`] for a time before the last one or an axis
+    /// Those of `out`; [`io::ErrorKind::InvalidInput`] for a time before the last one or a pin
     /// that the head does not name.
     pub fn write(&mut self, event: &PinEvent) -> io::Result<()> {
-        let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin;
-        if axis.index() >= self.axis_count || self.written_at_ticks > Some(event.at_ticks) {
-            return Err(io::ErrorKind::InvalidInput.into());
-        }
+        let index = self.pins.iter().position(|pin| *pin == event.pin);
+        let in_order = self.written_at_ticks <= Some(event.at_ticks);
+        let index = index.filter(|_| in_order);
+        let index = index.ok_or(io::ErrorKind::InvalidInput)?;
         if self.written_at_ticks != Some(event.at_ticks) {
             self.written_at_ticks = Some(event.at_ticks);
             writeln!(self.out, "#{}", event.at_ticks * UNITS_PER_TICK)?;
         }
-        writeln!(self.out, "{}{}", u8::from(event.level), code(event.pin))
+        writeln!(self.out, "{}{}", u8::from(event.level), code(index))
     }
 
     /// Writes out what is buffered.
@@ -106,23 +88,33 @@ impl<W: Write> VcdWriter<W> {
 }
 
 /// The identifier of a pin in the file: one printable character.
-fn code(pin: Pin) -> char {
-    let (axis, odd) = match pin {
-        Pin::Step(axis) => (axis, 0),
-        Pin::Direction(axis) => (axis, 1),
-    };
-    char::from(b'!' + (2 * axis.0 + odd) % 94)
+fn code(index: usize) -> char {
+    char::from(b'!' + (index % 94) as u8)
+}
+
+fn name(pin: Pin) -> String {
+    match pin {
+        Pin::Step(axis) => format!("step{}", axis.0),
+        Pin::Direction(axis) => format!("dir{}", axis.0),
+        Pin::Enable(output) => format!("enable{output}"),
+        Pin::StepC => "stepC".to_owned(),
+        Pin::DirectionC => "dirC".to_owned(),
+        Pin::StepD => "stepD".to_owned(),
+        Pin::DirectionD => "dirD".to_owned(),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use keys::AxisId;
 
     #[test]
     fn the_file_is_as_the_standard_says() {
         let mut file = Vec::new();
         let node = NodeId::new("cell-a").expect("legal");
-        let mut vcd = VcdWriter::new(&mut file, &node, 2).expect("memory");
+        let pins = [0, 1].map(|axis| [Pin::Step(AxisId(axis)), Pin::Direction(AxisId(axis))]);
+        let mut vcd = VcdWriter::new(&mut file, &node, pins.concat()).expect("memory");
         for (at_ticks, pin, level) in [
             (16, Pin::Direction(AxisId(1)), true),
             (160, Pin::Step(AxisId(0)), true),

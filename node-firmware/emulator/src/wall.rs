@@ -12,7 +12,6 @@ use crate::{
 };
 use embedded_io_adapters::tokio_1::FromTokio;
 use keys::{AxisId, LocalMicros, NodeId, Status};
-use motion::limits::CHANNELS;
 use node::{Inbound, run::NodeLink};
 use pico::{
     driver::{self, App, Connect, ConnectError, Next, Timer},
@@ -41,8 +40,8 @@ use tokio::{
 pub enum SpawnError {
     /// The locator is not `tcp/HOST:PORT`.
     Locator(String),
-    /// Not 1 to [`CHANNELS`] axes.
-    Axes(usize),
+    /// The axes cannot be like this.
+    Motion(motion::ConfigError),
     /// The ring holds no command.
     Ring,
 }
@@ -53,7 +52,7 @@ impl std::fmt::Display for SpawnError {
             Self::Locator(locator) => {
                 write!(f, "{locator:?} is no address of the form tcp/HOST:PORT")
             }
-            Self::Axes(count) => write!(f, "a node has 1 to {CHANNELS} axes, not {count}"),
+            Self::Motion(error) => error.fmt(f),
             Self::Ring => write!(f, "the ring must hold at least one command"),
         }
     }
@@ -170,9 +169,7 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
         .filter(|address| address.rsplit_once(':').is_some_and(is_port))
         .ok_or_else(|| SpawnError::Locator(config.connect.clone()))?
         .to_owned();
-    if !(1..=CHANNELS).contains(&config.axis_count) {
-        return Err(SpawnError::Axes(config.axis_count));
-    }
+    config.check().map_err(SpawnError::Motion)?;
     if config.ring_commands == 0 {
         return Err(SpawnError::Ring);
     }

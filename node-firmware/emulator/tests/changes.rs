@@ -67,11 +67,6 @@ impl Bench {
     fn position(&self, axis: AxisId) -> i64 {
         self.node.status().axes[usize::from(axis.0)].position_steps
     }
-
-    fn run_for(&mut self, us: u64) {
-        let at = self.now.0 + us;
-        self.run_until(at);
-    }
 }
 
 /// Times (s) and signs of an axis' steps.

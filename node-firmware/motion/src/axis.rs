@@ -7,7 +7,7 @@ use crate::{
     ledger::Ledger,
     limits::{LOW_WATER_TICKS, SEGMENTS_PER_COMMAND},
     profile::{AxisProfile, Timing},
-    segment::{Segment, SegmentRing},
+    segment::{Direction, Segment, SegmentRing},
 };
 
 /// One motor.
@@ -20,6 +20,7 @@ pub struct Axis {
     planned_ticks: u64,
     /// Rest before that.
     lead_ticks: u64,
+    direction_inverted: bool,
 }
 
 impl Axis {
@@ -31,7 +32,13 @@ impl Axis {
             ledger: Ledger::new(),
             planned_ticks: 0,
             lead_ticks: 0,
+            direction_inverted: profile.direction_inverted,
         }
+    }
+
+    /// Returns the level of the direction pin for a direction.
+    pub fn direction_level(&self, direction: Direction) -> bool {
+        (direction == Direction::Positive) != self.direction_inverted
     }
 
     /// Gives the half block with which the channel starts, a rest of `lead_ticks`, and books it as

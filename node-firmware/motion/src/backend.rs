@@ -1,6 +1,6 @@
 //! The border to hardware.
 
-use crate::{Ticks, axis::Axis};
+use crate::{Direction, Ticks, axis::Axis};
 use keys::{AxisId, status::FaultCode};
 
 /// The pulse hardware: the RMT of the board, or its model in the emulator.
@@ -17,7 +17,7 @@ use keys::{AxisId, status::FaultCode};
 /// | `counted_steps` | the same, counted at the pin by something else | planner, at rest |
 ///
 /// A refill calls [`Axis::fill`], sets the direction pin that [`Fill::turn`](crate::Fill::turn)
-/// names, and writes the words. How the back end knows what was played is its secret: on the board
+/// names to [`Axis::direction_level`], and writes the words. How the back end knows what was played is its secret: on the board
 /// the read pointer and a pulse counter, in the emulator the same, modelled.
 pub trait StepBackend {
     /// Gives the axes, with every refill held off.
@@ -48,6 +48,44 @@ pub trait StepBackend {
         None
     }
 
+    /// Gives the pulse hardware of C and D, of a node that has them.
+    fn cd(&mut self) -> Option<&mut dyn CdBackend> {
+        None
+    }
+
+    /// Returns what the counter of C shows: steps with sign since boot; 0 without one.
+    fn counted_c(&self) -> i64 {
+        0
+    }
+
     /// Returns what went wrong since the last call.
     fn take_fault(&mut self) -> Option<FaultCode>;
+}
+
+/// The pulse hardware of the axes beside the queue: a timer with a pulse counter for C, one without
+/// for D. Both step at one rate; the first edge comes an interval after the call, so that the
+/// direction pin has settled.
+pub trait CdBackend {
+    /// Turns C and makes so many steps with sign, never 0, `interval_ticks` apart; it ends by
+    /// itself.
+    fn run_c(&mut self, now: Ticks, steps: i64, interval_ticks: u64);
+
+    /// Stops C: no edge leaves after this call.
+    fn halt_c(&mut self, now: Ticks);
+
+    /// Returns whether C still steps.
+    fn is_c_running(&self) -> bool;
+
+    /// Returns what the pulse counter of C shows: steps with sign since boot.
+    fn counted_c(&self) -> i64;
+
+    /// Turns D and steps until [`CdBackend::halt_d`].
+    fn run_d(&mut self, now: Ticks, way: Direction, interval_ticks: u64);
+
+    /// Stops D: no edge leaves after this call.
+    fn halt_d(&mut self, now: Ticks);
+
+    /// Lets the hardware step up to `until`. Returns how far it came: less than `until` when C has
+    /// made its last step.
+    fn service(&mut self, until: Ticks) -> Ticks;
 }

@@ -1,9 +1,8 @@
 //! FastAccelStepper, the library that most ESP32 machines with steppers use, call by call: what does
 //! the same here, what is better, and what is missing.
 //!
-//! Its names are those of version 1.2.7. "No counterpart" means that nothing here does it; "pure
-//! machine" means that the logic is here and tested, and that no back end drives pins by it yet.
-//! What surrounds this crate (messages, groups of nodes, the gateway) is not compared.
+//! Its names are those of version 1.2.7. "No counterpart" means that nothing here does it. What
+//! surrounds this crate (messages, groups of nodes, the gateway) is not compared.
 //!
 //! # The engine
 //!
@@ -13,7 +12,7 @@
 //! | `stepperConnectToPin(pin, driver)` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
 //! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `i2sMuxSetBit` |
 //! | `task_rate(ms)`, a stop if it is longer than what is planned | [`Axis::wants_planning`], [`limits::LOW_WATER_TICKS`] | the pulses ask for planning; a planner that is too late is a fault with a name, not a silent stop |
-//! | `setExternalCallForPin`, pins ≥ 128 | [`io::shift::ShiftPins`] | pure machine; confirmed by the level read back, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
+//! | `setExternalCallForPin`, pins ≥ 128 | [`ShiftConfig`], [`io::shift::ShiftPins`] | enable outputs only; confirmed by the level read back, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
 //! | `setDebugLed` | no counterpart | |
 //! | `detachFromPin`, `reAttachToPin` | no counterpart | |
 //!
@@ -21,10 +20,10 @@
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
-//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. Missing: the polarity (high always counts up) |
-//! | `setEnablePin`, two pins, low- and high-active; shared pins | [`io::enable::EnableConfig`] | pure machine; shared by any set of axes |
-//! | `enableOutputs`, `disableOutputs` (false while it runs) | [`io::enable::Enables::enable`], [`io::enable::Enables::disable`] | pure machine; the refusal is an error |
-//! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`io::enable::Enables::wants_motion`], [`io::enable::Enables::rests`] | pure machine; the delays are instants to the tick |
+//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`], [`AxisProfile::direction_inverted`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. Missing: the polarity (high always counts up) |
+//! | `setEnablePin`, two pins, low- and high-active; shared pins | [`MotionConfig::enables`], [`io::enable::EnableConfig`] | shared by any set of axes |
+//! | `enableOutputs`, `disableOutputs` (false while it runs) | [`Motion::enable`], [`Motion::disable`] | the same |
+//! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`EnableConfig::delay_on_us`], [`EnableConfig::delay_off_ms`] | the delays are instants to the tick; all axes of the queue go together |
 //! | a step's high time is half its interval, 2 ms at most | [`AxisProfile::high_ns`], [`AxisProfile::high_ns_min`], [`AxisProfile::low_ns_min`] | minima of the driver, with profiles such as [`AxisProfile::drv8825`] |
 //!
 //! # Position and speed
@@ -159,10 +158,13 @@
 //! [`Target::Forever`]: crate::Target::Forever
 //! [`Target::To`]: crate::Target::To
 //! [`io::enable::EnableConfig`]: crate::io::enable::EnableConfig
-//! [`io::enable::Enables::disable`]: crate::io::enable::Enables::disable
-//! [`io::enable::Enables::enable`]: crate::io::enable::Enables::enable
-//! [`io::enable::Enables::rests`]: crate::io::enable::Enables::rests
-//! [`io::enable::Enables::wants_motion`]: crate::io::enable::Enables::wants_motion
+//! [`EnableConfig::delay_on_us`]: crate::io::enable::EnableConfig::delay_on_us
+//! [`EnableConfig::delay_off_ms`]: crate::io::enable::EnableConfig::delay_off_ms
+//! [`ShiftConfig`]: crate::ShiftConfig
+//! [`Motion::enable`]: crate::Motion::enable
+//! [`Motion::disable`]: crate::Motion::disable
+//! [`MotionConfig::enables`]: crate::MotionConfig::enables
+//! [`AxisProfile::direction_inverted`]: crate::AxisProfile::direction_inverted
 //! [`io::shift::ShiftPins`]: crate::io::shift::ShiftPins
 //! [`ledger`]: crate::ledger
 //! [`limits::LOW_WATER_TICKS`]: crate::limits::LOW_WATER_TICKS

@@ -20,6 +20,10 @@
 //! | [`lookahead`] | how fast a line may be left, given the lines behind it |
 //! | `steps.rs` | a path to the edges of all axes, put together to segments |
 //! | `motion/change.rs`, `motion/drive.rs` | hold, resume, speed, target: changed in flight |
+//! | `motion/inputs.rs`, `motion/homing.rs` | switches: limits, and the way to a reference |
+//! | `motion/reach.rs` | soft limits |
+//! | `motion/named.rs`, `motion/outputs.rs` | C and D; laser, enable pins, shift register, lidar |
+//! | [`scale`] | lengths to steps |
 //! | [`real`] | the numbers of all this: 62 bits and an exponent, in integers |
 //!
 //! No clock, no hardware, no allocation, no floating point: time comes in as [`Ticks`] and
@@ -40,7 +44,10 @@
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.
 //!
-//! Absent as yet: homing; [`Motion::check`] refuses it.
+//! - An axis that runs into a limit is told of at once, and one that would go further into a pressed
+//!   limit does not begin to.
+//!
+//! Absent: the stop that follows from a limit; whoever owns the stop path makes it.
 #![no_std]
 #![deny(clippy::float_arithmetic)]
 
@@ -57,6 +64,7 @@ pub mod path;
 pub mod profile;
 pub mod real;
 pub mod ring;
+pub mod scale;
 pub mod segment;
 pub mod smooth;
 pub mod symbol;
@@ -66,10 +74,13 @@ mod planner;
 mod steps;
 
 pub use axis::Axis;
-pub use backend::StepBackend;
+pub use backend::{CdBackend, StepBackend};
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
-pub use motion::{CommandError, Course, DriveError, Motion, MotionConfig, MotionEvent, Target};
+pub use motion::{
+    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, LimitHit, Motion,
+    MotionConfig, MotionEvent, Outlook, ShiftConfig, SoftLimits, Target,
+};
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};
 pub use segment::Direction;

@@ -2,17 +2,35 @@
 
 mod change;
 mod check;
+mod config;
 mod drive;
+mod homing;
+mod inputs;
 mod marks;
+mod named;
+mod outputs;
+mod reach;
 
 pub use check::CommandError;
+pub use config::{ConfigError, MotionConfig, ShiftConfig};
 pub use drive::{Course, DriveError, Target};
+pub use named::{CdError, ConfigCd};
+pub use reach::{Beyond, Outlook, SoftLimits};
 
 use drive::Drive;
+use homing::Homing;
 use marks::{Mark, Marks, What};
+use named::Cd;
+use outputs::{Laser, Shift};
 
 use crate::{
-    Axis, AxisProfile, CommandRing, Full, Reservation, StepBackend, Ticks,
+    Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
+    io::{
+        enable::{AxisSet, Enables, OutputChange},
+        home::{HomeConfig, HomeError, Switches},
+        input::{Inputs, Role, Switch},
+        shift::ShiftFault,
+    },
     law::speed_from_hz,
     limits::{
         ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, PATH_AHEAD_TICKS, TICK_HZ, TICKS_PER_US,
@@ -29,21 +47,38 @@ use keys::{
     status::FaultCode,
 };
 
-/// The axes of a node.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MotionConfig {
-    /// How many there are, 1 to [`CHANNELS`].
-    pub axis_count: usize,
-    /// What their drivers demand; those beyond `axis_count` do not matter.
-    pub axes: [AxisProfile; CHANNELS],
+/// What an axis came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LimitHit {
+    /// It runs into this limit.
+    Switch(Switch),
+    /// A command would move it further into this limit. Nothing of it has moved.
+    Blocked {
+        /// Number of the command in the queue.
+        command: u64,
+        /// The limit.
+        switch: Switch,
+    },
+    /// A command would move it beyond a soft limit. Nothing of it has moved.
+    Soft {
+        /// Number of the command in the queue.
+        command: u64,
+        /// Where to.
+        beyond: Beyond,
+    },
 }
 
-impl Default for MotionConfig {
-    /// Two axes with the default profile.
-    fn default() -> Self {
-        Self {
-            axis_count: 2,
-            axes: [AxisProfile::default(); CHANNELS],
+impl core::fmt::Display for LimitHit {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Switch(switch) => write!(f, "ran into its {switch}"),
+            Self::Blocked { command, switch } => {
+                write!(
+                    f,
+                    "command {command} would move it further into its {switch}"
+                )
+            }
+            Self::Soft { command, beyond } => write!(f, "command {command} would move it {beyond}"),
         }
     }
 }
@@ -51,13 +86,17 @@ impl Default for MotionConfig {
 /// What happened since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotionEvent {
-    /// The commands before have ended: the laser takes this power.
+    /// The commands before have ended, or motion is interrupted or goes on: the laser takes this
+    /// power.
     Laser {
         /// 0 to 100.
         power_percent: u8,
     },
-    /// The commands before have ended: a lidar reading is due. What follows does not wait for it.
+    /// The commands before have ended: a lidar reading is due. What follows waits for
+    /// [`Motion::take_lidar`] if the configuration says so.
     LidarRequest,
+    /// It did not come in time; the queue goes on.
+    LidarMissed,
     /// The pulses had to rest although the job has more: see [`Motion::expect_more`].
     Underrun,
     /// Everything that was accepted has ended.
@@ -84,6 +123,59 @@ pub enum MotionEvent {
         command: u64,
         /// When; if nothing steps before the next barrier or the end, the instant of the release.
         first_edge_at: Ticks,
+    },
+    /// An axis is at a limit. Told once; it goes on unless [`Motion::stop`] follows.
+    Limit {
+        /// The axis.
+        axis: AxisId,
+        /// Its position when this was found.
+        position_steps: i64,
+        /// What it came to.
+        hit: LimitHit,
+    },
+    /// An axis has been homed.
+    Homed {
+        /// The axis.
+        axis: AxisId,
+        /// Where it rests now.
+        position_steps: i64,
+    },
+    /// Homing failed: the queue does not go on without [`Motion::stop`].
+    HomeFailed {
+        /// The axis.
+        axis: AxisId,
+        /// Where it is, as far as it knows.
+        position_steps: i64,
+        /// Why.
+        error: HomeError,
+    },
+    /// An enable output switches.
+    Output(OutputChange),
+    /// The shift register is to show this word; [`Motion::take_shift`] takes what is read back.
+    ShiftOut {
+        /// A bit for each pin.
+        word: u32,
+    },
+    /// The shift register does not follow: nothing behind it is known to be on.
+    ShiftFault(ShiftFault),
+    /// C or D did not arrive: the queue does not go on without [`Motion::stop`].
+    CdFailed {
+        /// Why.
+        error: CdError,
+    },
+    /// The commands before have ended: [`Motion::status_cd`] is asked for.
+    StatusCd,
+    /// A stop input changed.
+    StopInput {
+        /// Whether the stop is demanded.
+        active: bool,
+    },
+    /// The probe changed.
+    Probe {
+        /// Whether it touches.
+        active: bool,
+        /// Where each axis was at that edge.
+        positions_steps: [i64; CHANNELS],
     },
     /// The pulse hardware found a fault.
     Fault(FaultCode),
@@ -142,6 +234,9 @@ struct Start {
     first_edge_at: Option<Ticks>,
 }
 
+/// Events that wait for the next poll: two of an input's level, two of what follows from them.
+const TOLD_MAX: usize = 8;
+
 /// Motion of one node. See the crate for the picture.
 ///
 /// Call [`Motion::poll`] until it gives `None`, at [`Motion::poll_timeout`] or earlier; a late call
@@ -165,6 +260,34 @@ pub struct Motion<'m, B: StepBackend> {
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
     drive: Option<Drive>,
+    homing: Option<Homing>,
+    cd: Option<Cd>,
+    laser: Laser,
+    /// How long a reading is waited for, and until when it is now.
+    lidar_wait_ticks: Option<u64>,
+    lidar_until: Option<Ticks>,
+    enables: Enables,
+    shift: Option<Shift>,
+    /// When the drivers that were switched on let the queue begin.
+    enabled_at: Option<Ticks>,
+    /// A command that waits for rest runs: homing, C or D.
+    station: bool,
+    homes: [Option<HomeConfig>; CHANNELS],
+    /// Position = frame + played steps, as it was when the axis was homed, whatever was renamed
+    /// since; `None`: it is not homed.
+    frames_steps: [Option<i64>; CHANNELS],
+    soft_limits: [Option<SoftLimits>; CHANNELS],
+    inputs: Inputs,
+    switches: [Switches; CHANNELS],
+    /// A limit was told, and nothing was stopped since.
+    limit_told: bool,
+    /// Whether an axis has a limit.
+    has_limits: bool,
+    /// Which way each axis has stepped last, while it moves.
+    headings: [Option<Direction>; CHANNELS],
+    /// Played steps when that was found.
+    seen_steps: [i64; CHANNELS],
+    told: heapless::Deque<MotionEvent, TOLD_MAX>,
     /// Share of the lines' speed, 2⁻¹⁶.
     share: u32,
     /// What is planned from rest begins no earlier: a barrier was released for this instant.
@@ -196,12 +319,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// those of `config`.
     ///
     /// # Panics
-    /// The configuration has no axis, or more than the back end.
+    /// [`MotionConfig::check`] finds something wrong, or the back end has fewer axes.
     pub fn new(ring: CommandRing<'m>, mut backend: B, config: MotionConfig) -> Self {
-        assert!(
-            (1..=CHANNELS).contains(&config.axis_count),
-            "a node has 1 to {CHANNELS} axes"
-        );
+        if let Err(error) = config.check() {
+            panic!("{error}");
+        }
         assert!(
             backend.axes().len() >= config.axis_count,
             "the back end has fewer channels than axes"
@@ -211,6 +333,29 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
         let timing = config.axes.map(Timing::from);
         let lead_ticks = timing[..config.axis_count].iter().map(Timing::turn_ticks);
+        let is_high = |index: usize| config.input_levels >> index & 1 != 0;
+        let inputs = Inputs::new(config.inputs, is_high, Ticks(0));
+        let axes = (0..).map(AxisId);
+        let is_pressed = |axis, switch| inputs.is_active(Role::Axis { axis, switch });
+        let mut switches = [Switches::default(); CHANNELS];
+        for (switches, axis) in switches.iter_mut().zip(axes.clone()) {
+            for switch in [Switch::Min, Switch::Max, Switch::Home] {
+                switches.set(switch, is_pressed(axis, switch));
+            }
+        }
+        let has_limit = |axis| {
+            let has = |switch| config.inputs.has(Role::Axis { axis, switch });
+            has(Switch::Min) || has(Switch::Max)
+        };
+        let has_limits = axes.take(CHANNELS).any(has_limit);
+        let mut enables = Enables::new(&config.enables).expect("it is checked");
+        for output in config.enables.iter().filter(|output| !output.auto) {
+            enables.enable(output.axes, Ticks(0));
+        }
+        let cd = config.cd.map(|cd| {
+            assert!(backend.cd().is_some(), "the back end has no C and D");
+            Cd::new(cd, |role| inputs.is_active(role)).expect("it is checked")
+        });
         Self {
             ring,
             backend,
@@ -226,6 +371,27 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             change_due: false,
             extended_commands: 0,
             drive: None,
+            homing: None,
+            cd,
+            laser: Laser::default(),
+            lidar_wait_ticks: config
+                .lidar_wait_ms
+                .map(|ms| u64::from(ms) * 1_000 * TICKS_PER_US),
+            lidar_until: None,
+            enables,
+            shift: config.shift.map(Shift::new),
+            enabled_at: None,
+            station: false,
+            homes: config.homes,
+            frames_steps: [None; CHANNELS],
+            soft_limits: config.soft_limits,
+            inputs,
+            switches,
+            limit_told: false,
+            has_limits,
+            headings: [None; CHANNELS],
+            seen_steps: [0; CHANNELS],
+            told: heapless::Deque::new(),
             share: 1 << 16,
             resume_at: Ticks(0),
             now: Ticks(0),
@@ -244,6 +410,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         }
     }
 
+    /// Returns how far it has come: the time of what it tells. Not later than that of the last call.
+    pub fn now(&self) -> Ticks {
+        self.now
+    }
+
     /// Returns how many axes there are.
     pub fn axis_count(&self) -> usize {
         self.axis_count
@@ -251,9 +422,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// Returns what this firmware can do.
     pub fn features(&self) -> Features {
-        Features::BASIC
+        let mut features = Features::BASIC
             .with(Features::RAMPS)
-            .with(Features::BARRIERS)
+            .with(Features::BARRIERS);
+        if self.cd.is_some() {
+            features = features.with(Features::CD);
+        }
+        let homes = (0..).map(AxisId).zip(&self.homes[..self.axis_count]);
+        homes
+            .filter(|(_, home)| home.is_some())
+            .fold(features, |features, (axis, _)| {
+                features.with(Command::Home { axis }.feature())
+            })
     }
 
     /// Returns how many commands still fit.
@@ -366,6 +546,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(code) = self.fault.take() {
                 return Some(MotionEvent::Fault(code));
             }
+            self.pass_inputs();
+            self.pass_cd();
+            if let Some(event) = self.told.pop_front() {
+                return Some(event);
+            }
             if let Some(event) = self.check_counters() {
                 return Some(event);
             }
@@ -378,40 +563,66 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if let Some(event) = self.pass_barrier() {
                 return Some(event);
             }
+            self.pass_lidar();
+            self.pass_station();
+            self.pass_homing();
             self.plan();
+            if let Some(event) = self.pass_enables() {
+                return Some(event);
+            }
             if let Some(event) = self.pass_start() {
                 return Some(event);
             }
-            if self.marks.front().is_some_and(|mark| mark.end <= self.now) {
+            let has_ended = self.marks.front().is_some_and(|mark| mark.end <= self.now);
+            if has_ended || !self.told.is_empty() {
                 continue;
             }
             if self.now >= now {
                 return None;
             }
+            // An input counts at its own time, and so does a driver that is ready.
+            let inputs = self.inputs.poll_timeout();
+            let due = inputs.into_iter().chain(self.outputs_timeout()).min();
+            let until = due.map_or(now, |due| due.max(self.now).min(now));
             self.now = match self.phase {
-                Phase::Rest => self
-                    .alarm()
-                    .map_or(now, |alarm| alarm.max(self.now).min(now)),
-                Phase::Stopped => now,
-                Phase::Playing { .. } | Phase::Decelerating => self.backend.service(now),
+                Phase::Rest => {
+                    let alarm = self.alarm();
+                    self.service_cd(alarm.map_or(until, |alarm| alarm.max(self.now).min(until)))
+                }
+                Phase::Stopped => until,
+                Phase::Playing { .. } | Phase::Decelerating => self.backend.service(until),
             };
             self.fault = self.backend.take_fault();
             self.note_speeds();
+            if self.has_limits {
+                self.note_headings();
+            }
         }
     }
 
     /// Returns when [`Motion::poll`] has something to tell, `None` if only a command or a stop can
     /// change anything.
     pub fn poll_timeout(&self) -> Option<Ticks> {
+        let told = (!self.told.is_empty()).then_some(self.now);
+        [
+            self.phase_timeout(),
+            self.inputs.poll_timeout(),
+            self.cd_timeout(),
+            self.outputs_timeout(),
+            told,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+    }
+
+    fn phase_timeout(&self) -> Option<Ticks> {
         match self.phase {
             Phase::Stopped => Some(self.now),
             // Its end depends on what the hardware still holds.
             Phase::Decelerating => Some(self.now.plus(1_000 * TICKS_PER_US)),
             Phase::Rest | Phase::Playing { .. } => {
-                let event = self
-                    .marks
-                    .iter()
-                    .find(|mark| matches!(mark.what, What::Laser { .. } | What::Lidar));
+                let event = self.marks.iter().find(|mark| mark.what.tells());
                 let end = match self.phase {
                     Phase::Playing { timeline } if self.now < timeline => Some(timeline),
                     Phase::Playing { timeline } => {
@@ -433,7 +644,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
                 // A drive or a resumption begins with the next call.
                 let begins = matches!(self.hold, Hold::Resuming(_))
-                    || self.drive.is_some_and(|drive| drive.next.is_some());
+                    || self
+                        .drive
+                        .is_some_and(|drive| drive.next.is_some() && !self.is_held());
                 let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
                 marks
                     .chain(end)
@@ -447,11 +660,23 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     /// The one stop: drops everything that is not played. [`StopMode::Halt`] is complete when this
     /// returns, [`StopMode::Decelerate`] when [`Motion::poll`] says [`MotionEvent::Stopped`].
-    pub fn stop(&mut self, mode: StopMode, now: Ticks) {
-        // What belongs to the time before the stop happened before it. Of its events only a fault
-        // still matters.
+    pub fn stop(&mut self, mut mode: StopMode, now: Ticks) {
+        // What belongs to the time before the stop happened before it. Of its events only what is
+        // wrong still matters, and what the stop pin says.
+        let mut missed = None;
         while let Some(event) = self.poll(now) {
             match event {
+                MotionEvent::Limit { .. } => {
+                    mode = StopMode::Halt;
+                    missed = Some(event);
+                    break;
+                }
+                MotionEvent::HomeFailed { .. }
+                | MotionEvent::CdFailed { .. }
+                | MotionEvent::StopInput { .. } => {
+                    missed = Some(event);
+                    break;
+                }
                 MotionEvent::Fault(code) => {
                     self.fault = Some(code);
                     break;
@@ -468,6 +693,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 _ => {}
             }
         }
+        missed.into_iter().for_each(|event| self.tell(event));
+        self.homing = None;
+        self.station = false;
+        self.lidar_until = None;
+        self.halt_cd();
         match (self.phase, mode) {
             (Phase::Stopped, _) | (Phase::Decelerating, StopMode::Decelerate) => {}
             (Phase::Rest, _) => self.end_stop(),
@@ -504,9 +734,12 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     self.origins_steps[usize::from(axis.0)] = origin_steps;
                 }
                 What::Laser { power_percent } => {
-                    return Some(MotionEvent::Laser { power_percent });
+                    if let Some(event) = self.set_laser(power_percent) {
+                        return Some(event);
+                    }
                 }
                 What::Lidar => return Some(MotionEvent::LidarRequest),
+                What::StatusCd => return Some(MotionEvent::StatusCd),
             }
         }
         None
@@ -532,6 +765,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         match self.barrier {
             Barrier::Open => {
                 self.barrier = Barrier::Waiting;
+                self.withhold_laser();
+                // So that none of them delays the start.
+                self.enables.wants_motion(AxisSet::QUEUE, self.now);
                 Some(MotionEvent::AtBarrier { command })
             }
             Barrier::Waiting => None,
@@ -587,6 +823,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Notices that the channels have come to rest.
     fn pass_phase(&mut self) -> Option<MotionEvent> {
         match self.phase {
+            // A drive that was ended before it began, or while it was held.
+            Phase::Rest if matches!(self.hold, Hold::None) => self.pass_drive(),
             Phase::Rest => None,
             Phase::Stopped => {
                 self.phase = Phase::Rest;
@@ -605,6 +843,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 self.settle_axes();
                 self.phase = Phase::Rest;
+                self.rest_enables();
                 if self.planner.is_unfinished() {
                     // The axes stood still in the middle of a path. Nothing goes on from there by
                     // itself.
@@ -617,8 +856,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
                     Hold::Resuming(_) => return None,
                 }
-                let at_barrier = matches!(self.ring.peek(), Some(Command::Barrier { .. }));
-                if self.executed_commands < self.expected_commands && !at_barrier {
+                let waits = self.ring.peek();
+                let waits = waits.is_some_and(|next| self.waits_for_rest(&next));
+                if self.executed_commands < self.expected_commands && !waits {
+                    self.withhold_laser();
                     Some(MotionEvent::Underrun)
                 } else {
                     Some(MotionEvent::Rest)
@@ -638,6 +879,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let counted_steps = self.backend.counted_steps(axis).unwrap_or(ledger_steps);
             let miscount = counted_steps - ledger_steps;
             if mem::replace(&mut self.miscounts_steps[index], miscount) != miscount {
+                // Nobody knows where the axis is.
+                self.frames_steps[index] = None;
                 return Some(MotionEvent::Miscount {
                     axis,
                     ledger_steps,
@@ -661,7 +904,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// else each axis by itself.
     fn decelerate(&mut self) {
         self.planner.hold(true);
-        if self.change_path().is_some() {
+        if self.is_drive_ending() || self.change_path().is_some() {
             self.phase = Phase::Decelerating;
             self.note_speeds();
             return;
@@ -701,6 +944,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.hold = Hold::None;
         self.change_due = false;
         self.drive = None;
+        self.homing = None;
+        self.laser = Laser::default();
+        self.rest_enables();
+        self.limit_told = false;
+        self.headings = [None; CHANNELS];
         for axis in 0..self.axis_count {
             self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
         }
@@ -743,7 +991,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 break;
             }
             if let Hold::Resuming(split) = self.hold {
-                if self.phase != Phase::Rest {
+                if self.phase != Phase::Rest || !self.are_enabled(AxisSet::QUEUE, lead_ticks) {
                     break;
                 }
                 let at = self.now.max(self.quiet_at);
@@ -757,12 +1005,19 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 self.go_on(Split { at, ..split }, own);
                 continue;
             }
-            if let Some(Drive { axis, next, due }) = self.drive {
-                let Some(leg) = next.filter(|_| !due || self.phase == Phase::Rest) else {
+            if let Some(Drive {
+                axis, next, due, ..
+            }) = self.drive
+            {
+                let begins = (!due || self.phase == Phase::Rest) && !self.is_held();
+                let Some(leg) = next.filter(|_| begins) else {
                     break;
                 };
                 let appends = self.can_append(starts_at.is_some());
+                let enabled =
+                    self.phase != Phase::Rest || self.are_enabled(AxisSet::QUEUE, lead_ticks);
                 let begin = match self.phase {
+                    _ if !enabled => break,
                     Phase::Playing { timeline } if appends => timeline,
                     Phase::Rest => {
                         let at = self.now.max(self.quiet_at);
@@ -775,6 +1030,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     axis,
                     next: None,
                     due: false,
+                    ending: false,
                 });
                 self.begin_leg(axis, leg, begin);
                 continue;
@@ -782,7 +1038,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             let Some(command) = self.ring.peek() else {
                 break;
             };
-            if self.marks.is_full() || matches!(command, Command::Barrier { .. }) {
+            if self.marks.is_full()
+                || self.waits_for_rest(&command)
+                || self.refuse_blocked(&command)
+            {
                 break;
             }
             if self.is_held() && !self.planner.is_at_speed() {
@@ -795,6 +1054,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 continue;
             }
             let takes_time = line.is_some() || ticks_of(&command).is_some_and(|ticks| ticks > 0);
+            let enabled = self.phase != Phase::Rest || !takes_time || {
+                let lead_ticks = self.resume_at.0.saturating_sub(self.now.0).max(lead_ticks);
+                self.are_enabled(AxisSet::QUEUE, lead_ticks)
+            };
             let begin = match self.phase {
                 Phase::Stopped => break,
                 Phase::Decelerating => Ticks(0),
@@ -811,6 +1074,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     }
                     timeline
                 }
+                Phase::Rest if takes_time && !enabled => break,
                 Phase::Rest if takes_time => {
                     let at = self.now.max(self.quiet_at);
                     lead_ticks = self.resume_at.0.saturating_sub(at.0).max(self.lead_ticks);
@@ -855,12 +1119,37 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if let Some(at) = starts_at {
             self.started_at = at;
             self.backend.start(at, lead_ticks);
+            if self.drive.is_none() {
+                self.give_laser_back();
+            }
+        }
+    }
+
+    /// Returns whether a command begins only when all before it has ended.
+    fn waits_for_rest(&self, command: &Command) -> bool {
+        match command {
+            Command::Barrier { .. }
+            | Command::Home { .. }
+            | Command::MoveC { .. }
+            | Command::MoveD { .. } => true,
+            Command::LidarRead => self.lidar_wait_ticks.is_some(),
+            _ => false,
         }
     }
 
     /// Returns the way of a ramp or a line and how many steps of its ramp it jumps over; `None`
     /// for other commands and where there is no way to go.
     fn line_of(&self, command: &Command) -> Option<(Line, u16)> {
+        self.line_from(command, &self.planned_steps, &self.planned_origins_steps)
+    }
+
+    /// The same from these steps since boot and origins.
+    fn line_from(
+        &self,
+        command: &Command,
+        from_steps: &[i64; CHANNELS],
+        origins_steps: &[i64; CHANNELS],
+    ) -> Option<(Line, u16)> {
         let ramp = |axis: AxisId, steps: i64, ramp: Ramp| {
             if steps == 0 {
                 return None;
@@ -890,8 +1179,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 ramp: how,
             } => {
                 let index = usize::from(axis.0);
-                let origin = self.planned_origins_steps[index];
-                let here = origin.wrapping_add(self.planned_steps[index]);
+                let here = origins_steps[index].wrapping_add(from_steps[index]);
                 let way = i128::from(position_steps) - i128::from(here);
                 let way = way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX);
                 ramp(axis, way as i64, how)
@@ -902,7 +1190,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     fn begin_line(&mut self, line: Line, jump_steps: u16, begin: Ticks) -> Begun {
         let ring = &self.ring;
-        let behind = lines_of((1..).map_while(|index| ring.peek_at(index)));
+        let behind = lines_behind(ring, 1, self.lidar_wait_ticks.is_some());
         let axes = &self.backend.axes()[..self.axis_count];
         let base_steps = self.planned_steps;
         self.planner
@@ -922,6 +1210,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         let what = match *command {
             Command::Laser { power_percent } => What::Laser { power_percent },
             Command::LidarRead => What::Lidar,
+            Command::StatusCd => What::StatusCd,
             Command::SetPosition {
                 axis,
                 position_steps,
@@ -954,10 +1243,16 @@ const WAY_STEPS_MAX: i128 = 1 << 62;
 /// take no time.
 const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
 
-/// Returns the lines with which commands begin. What takes no time does not end a path.
-fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Command> {
-    commands
-        .take(LOOK_COMMANDS_MAX)
+/// Returns the commands for lines that follow behind so many commands. What takes no time does not end
+/// a path, but for a reading that is waited for.
+fn lines_behind<'r>(
+    ring: &'r CommandRing<'_>,
+    count: usize,
+    lidar_waits: bool,
+) -> impl Iterator<Item = Command> + use<'r> {
+    let all = (count..).map_while(|index| ring.peek_at(index));
+    all.take(LOOK_COMMANDS_MAX)
+        .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))
         .filter(|next| !takes_no_time(next))
         .take_while(|next| matches!(next, Command::Line { .. }))
 }
@@ -965,7 +1260,10 @@ fn lines_of(commands: impl Iterator<Item = Command>) -> impl Iterator<Item = Com
 fn takes_no_time(command: &Command) -> bool {
     matches!(
         command,
-        Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
+        Command::Laser { .. }
+            | Command::LidarRead
+            | Command::SetPosition { .. }
+            | Command::StatusCd
     )
 }
 

@@ -28,6 +28,8 @@ pub struct AxisProfile {
     pub stop_accel_hz_per_s: u32,
     /// Most that the speed may jump at a corner of a path, Hz. 0: every corner is a stop.
     pub junction_hz: u32,
+    /// Whether the direction pin is low for positive.
+    pub direction_inverted: bool,
 }
 
 impl Default for AxisProfile {
@@ -42,6 +44,7 @@ impl Default for AxisProfile {
             dir_hold_ns: 10_000,
             stop_accel_hz_per_s: 100_000,
             junction_hz: 200,
+            direction_inverted: false,
         }
     }
 }

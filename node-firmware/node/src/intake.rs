@@ -12,7 +12,7 @@
 //! ```
 //!
 //! Before that: other queue → `Stale`, stop → `Stopped`. After it: every command is read and
-//! checked (`Malformed`, `BadCommand`), then `QueueShort`, and only then the first one is written
+//! checked (`Malformed`, `BadCommand`, `OutOfReach`), then `QueueShort`, and only then the first one is written
 //! to the ring. So a refused batch leaves no trace in it.
 
 use crate::{Node, Outputs, limits::CREDIT_SHARE, stop::Phase, trace::Event};
@@ -95,6 +95,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             return Err(Refusal::Gap);
         }
         let mut check = reader.clone();
+        let mut outlook = self.motion.outlook();
         for index in 0..header.command_count {
             let command = check
                 .next_command()
@@ -104,6 +105,14 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             self.motion
                 .check(&command)
                 .map_err(|_| Refusal::BadCommand { index })?;
+            let Some(outlook) = outlook.as_mut() else {
+                continue;
+            };
+            if let Err(error) = self.motion.check_reach(outlook, &command) {
+                let number = header.first_command + u64::from(index);
+                self.log(now, format_args!("command {number}: {error}"));
+                return Err(Refusal::OutOfReach { index });
+            }
         }
         if check.next_command().is_err() {
             return Err(Refusal::Malformed);
@@ -171,6 +180,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             Phase::Latched { .. } if self.stop_pin_active => Verdict::Refused(Refusal::Stopped),
             Phase::Latched { .. } => {
                 self.phase = Phase::Open;
+                self.motion.reset_shift();
                 self.status_due = true;
                 self.trace.note(now, Event::Released);
                 self.log(now, format_args!("released"));

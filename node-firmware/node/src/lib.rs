@@ -4,6 +4,7 @@
 //!                    ┌────────────────────────── Node ──────────────────────────┐
 //!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
+//!  switches ───────▶ │ inputs.rs ── limits, homing ───▶ │                       │
 //!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
 //!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
 //!                    │          report.rs ◀── position ─┘                       │
@@ -23,6 +24,7 @@ pub mod run;
 pub mod trace;
 
 mod clock;
+mod inputs;
 mod intake;
 mod report;
 mod start;
@@ -46,7 +48,10 @@ use keys::{
     status::{FAULTS_MAX, FaultCode},
     version,
 };
-use motion::{CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks};
+use motion::{
+    CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks,
+    io::{enable::OutputChange, input::PinLevel},
+};
 
 /// What to do when the link stays away while commands are executed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -118,6 +123,13 @@ pub enum Inbound<'b> {
         /// Whether the stop is demanded.
         active: bool,
     },
+    /// What the shift register was read back to show.
+    Shift {
+        /// A bit for each pin.
+        word: u32,
+    },
+    /// A level of an input pin.
+    Input(PinLevel),
     /// Signal strength of the link, dBm.
     SignalStrength {
         /// `None` without WiFi.
@@ -132,6 +144,13 @@ pub trait Outputs {
 
     /// Asks for a lidar reading; it comes back as [`Inbound::Lidar`].
     fn request_lidar(&mut self);
+
+    /// Switches an enable output now, its low-active and its high-active pin; `at` is when motion
+    /// has asked for it.
+    fn set_enable(&mut self, change: OutputChange, at: Ticks);
+
+    /// Shifts a word into the shift register; what it shows then comes back as [`Inbound::Shift`].
+    fn shift_out(&mut self, word: u32);
 }
 
 /// The firmware minus hardware. See the crate for the picture.
@@ -232,11 +251,15 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             } => {
                 self.begin_stop(StopReason::Client, Stop::from_payload(payload).mode, now);
             }
-            Inbound::StopPin { active } => {
-                self.stop_pin_active = active;
-                if active {
-                    self.begin_stop(StopReason::Pin, StopMode::Halt, now);
-                }
+            Inbound::StopPin { active } => self.take_stop_pin(active, now),
+            Inbound::Shift { word } => {
+                self.run_motion(now);
+                self.motion.take_shift(word);
+            }
+            Inbound::Input(level) => {
+                // What comes before it has happened before it.
+                self.run_motion(now);
+                self.motion.input(level);
             }
             Inbound::Message {
                 topic: NodeTopic::Clock,
@@ -265,7 +288,12 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
-            Inbound::Lidar { mm } => self.lidar_mm = Some(mm),
+            Inbound::Lidar { mm } => {
+                self.run_motion(now);
+                self.lidar_mm = Some(mm);
+                self.log(now, format_args!("lidar: {mm} mm"));
+                self.motion.take_lidar();
+            }
             Inbound::SignalStrength { rssi_dbm } => self.rssi_dbm = rssi_dbm,
         }
         self.run_motion(now);
@@ -404,6 +432,9 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 MotionEvent::Laser { .. } if self.phase != Phase::Open => {}
                 MotionEvent::Laser { power_percent } => self.set_laser(power_percent),
                 MotionEvent::LidarRequest => self.outputs.request_lidar(),
+                MotionEvent::LidarMissed => {
+                    self.log(now, format_args!("lidar: no reading in time"))
+                }
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
                 MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded => {}
                 MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),
@@ -412,6 +443,33 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     command,
                     first_edge_at,
                 } => self.tell_started(command, first_edge_at, now),
+                MotionEvent::Limit {
+                    axis,
+                    position_steps,
+                    hit,
+                } => self.reach_limit(axis, position_steps, hit, now),
+                MotionEvent::Homed {
+                    axis,
+                    position_steps,
+                } => self.note_homed(axis, position_steps, now),
+                MotionEvent::HomeFailed {
+                    axis,
+                    position_steps,
+                    error,
+                } => self.fail_homing(axis, position_steps, error, now),
+                MotionEvent::Output(change) => {
+                    let at = self.motion.now();
+                    self.outputs.set_enable(change, at);
+                }
+                MotionEvent::ShiftOut { word } => self.outputs.shift_out(word),
+                MotionEvent::ShiftFault(fault) => self.fail_shift(fault, now),
+                MotionEvent::CdFailed { error } => self.fail_cd(error, now),
+                MotionEvent::StatusCd => self.tell_status_cd(now),
+                MotionEvent::StopInput { active } => self.take_stop_pin(active, now),
+                MotionEvent::Probe {
+                    active,
+                    positions_steps,
+                } => self.take_probe(active, &positions_steps, now),
                 MotionEvent::Stopped => self.complete_stop(now),
                 MotionEvent::Fault(code) => {
                     self.note_fault(code, now);

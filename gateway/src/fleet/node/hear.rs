@@ -321,11 +321,15 @@ impl Node {
                     self.limit = ack.accepted_commands + u64::from(ack.credit_commands);
                 }
             }
-            Setback::BadCommand { index } => {
+            setback @ (Setback::BadCommand { index } | Setback::OutOfReach { index }) => {
+                let what = match setback {
+                    Setback::OutOfReach { .. } => "it leads an axis beyond its soft limit",
+                    _ => "the node does not take it",
+                };
                 let part = self.active.and_then(|id| turn.book.part(&id, self.id));
                 let head_commands = part.map_or(0, |part| part.head_commands);
                 let message = match index.checked_sub(head_commands) {
-                    Some(index) => format!("commands[{index}]: the node does not take it"),
+                    Some(index) => format!("commands[{index}]: {what}"),
                     None => "the node does not take the barrier of the start".to_owned(),
                 };
                 let error = JobError::new(ErrorCode::BadCommand, message);

@@ -179,7 +179,7 @@ impl Judge<'_> {
         });
         // Behind `taken` no instant is too early, whatever came before.
         let begin = begin.meet(Window {
-            low: first.taken as f64,
+            low: first.taken.max(self.not_before) as f64,
             high: begin.high.max(first.taken as f64),
         });
         let end = if pieces.len() == 1 {

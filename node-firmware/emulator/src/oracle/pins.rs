@@ -15,10 +15,15 @@ impl Judge<'_> {
             turned_at: Option<u64>,
         }
         let mut lines = vec![Line::default(); self.axes.len()];
+        for (line, inverted) in lines.iter_mut().zip(self.inverted) {
+            line.positive = *inverted;
+        }
         let mut before = 0;
         for event in edges {
             let at = event.at_ticks;
-            let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin;
+            let (Pin::Step(axis) | Pin::Direction(axis)) = event.pin else {
+                continue;
+            };
             if at < before {
                 self.wrong(at, "the record is not in order of time".to_owned());
             }
@@ -56,13 +61,14 @@ impl Judge<'_> {
                     bad[0] = demand("high time", since(line.rose_at), least);
                     line.fell_at = Some(at);
                 }
-                Pin::Direction(_) => {
+                _ => {
                     if line.level {
                         bad[0] = Some("it turns while a step is high".to_owned());
                     }
                     let least = self.limits.hold_ticks_min;
                     bad[1] = demand("direction hold", since(line.fell_at), least);
-                    line.positive = event.level;
+                    let inverted = self.inverted.get(axis.index()).copied().unwrap_or(false);
+                    line.positive = event.level != inverted;
                     line.turned_at = Some(at);
                 }
             }

@@ -163,7 +163,14 @@ impl Judge<'_> {
             self.summary.commands += (index..index + count.max(1))
                 .filter(|number| (*number as u64) < scope.executed)
                 .count() as u64;
-            if pieces.is_empty() {
+            if let Command::Home { axis } = taken.command {
+                anchor = None;
+                if !self.read_homing(taken, axis, &scope, stop) {
+                    broken.fill(true);
+                }
+                planned[axis.index()] = self.axes[axis.index()].position();
+                index += 1;
+            } else if pieces.is_empty() {
                 let number = index as u64;
                 if let Command::SetPosition {
                     axis,
@@ -239,8 +246,11 @@ impl Judge<'_> {
             let is_line = matches!(taken.command, Command::Line { .. });
             let timeless = matches!(
                 taken.command,
-                Command::Laser { .. } | Command::LidarRead | Command::SetPosition { .. }
-            );
+                Command::Laser { .. }
+                    | Command::LidarRead
+                    | Command::SetPosition { .. }
+                    | Command::StatusCd
+            ) && !self.rests_at(&taken.command);
             let taken_at = taken.at.0 * TICKS_PER_US;
             // A line that came after the last edge of its predecessor cannot have been joined.
             let too_late = pieces.last().is_some_and(|piece: &Piece| {
@@ -276,6 +286,15 @@ impl Judge<'_> {
         (pieces, count)
     }
 
+    /// Whether the queue rests at a command until something else has happened.
+    fn rests_at(&self, command: &Command) -> bool {
+        match command {
+            Command::Barrier { .. } | Command::MoveC { .. } | Command::MoveD { .. } => true,
+            Command::LidarRead => self.lidar_waits,
+            _ => false,
+        }
+    }
+
     /// A command that is no path.
     fn read_command(
         &mut self,
@@ -285,7 +304,7 @@ impl Judge<'_> {
         broken: &mut [bool],
     ) {
         let must_be_whole = taken.number < scope.executed;
-        if matches!(taken.command, Command::Barrier { .. }) {
+        if self.rests_at(&taken.command) {
             // The queue rests there for as long as others need.
             *anchor = None;
         }
@@ -387,8 +406,8 @@ impl Judge<'_> {
                 format!("axes that start together differ by {skew} ticks"),
             );
         }
-        if at < taken_at {
-            self.wrong(at, "a step before its command was taken".to_owned());
+        if at < taken_at.max(self.not_before) {
+            self.wrong(at, "a step before its command was taken or due".to_owned());
         }
         let signs = runs
             .iter()

@@ -13,6 +13,8 @@ pub(crate) struct Bench {
     pub(crate) now: LocalMicros,
     pub(crate) waiting: std::collections::VecDeque<Command>,
     pub(crate) job_end: u64,
+    /// What the node has logged.
+    pub(crate) lines: Vec<String>,
 }
 
 pub(crate) fn config() -> EmulatorConfig {
@@ -30,6 +32,7 @@ impl Bench {
             now: LocalMicros(0),
             waiting: std::collections::VecDeque::new(),
             job_end: 0,
+            lines: Vec::new(),
         }
     }
 
@@ -71,12 +74,24 @@ impl Bench {
         while let Some(due) = self.node.poll_timeout().filter(|due| due.0 <= at_us) {
             self.now = self.now.max(due);
             self.node.poll(self.now);
-            let _ = self.node.outbox(self.now);
+            self.drain();
             self.feed();
         }
         self.now = LocalMicros(at_us);
         self.node.poll(self.now);
-        let _ = self.node.outbox(self.now);
+        self.drain();
+    }
+
+    pub(crate) fn drain(&mut self) {
+        let sent = self.node.outbox(self.now).into_iter();
+        let lines = sent.filter(|sent| sent.topic == NodeTopic::Log);
+        let text = |payload: &[u8]| String::from_utf8(payload.to_vec()).expect("text");
+        self.lines.extend(lines.map(|line| text(&line.payload)));
+    }
+
+    pub(crate) fn run_for(&mut self, us: u64) {
+        let at = self.now.0 + us;
+        self.run_until(at);
     }
 
     pub(crate) fn run_to_rest(&mut self) {

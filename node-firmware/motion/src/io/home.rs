@@ -148,9 +148,7 @@ impl core::fmt::Display for HomeError {
             Self::NotReleased => write!(f, "switch never released"),
             Self::NotThere => write!(f, "switch not there on the way back"),
             Self::NotFoundAgain => write!(f, "switch not found again by the slow approach"),
-            Self::WrongLimit(Switch::Min) => write!(f, "came to the min limit"),
-            Self::WrongLimit(Switch::Max) => write!(f, "came to the max limit"),
-            Self::WrongLimit(Switch::Home) => write!(f, "came to the home switch"),
+            Self::WrongLimit(switch) => write!(f, "came to the {switch}"),
             Self::Canceled => write!(f, "stopped before its end"),
         }
     }

@@ -8,7 +8,10 @@
 //! Absent: what an input leads to. A pulse that is over before its interrupt reads the pin is not
 //! seen; what must be seen that short needs a latch in hardware.
 
-use crate::{Ticks, limits::TICKS_PER_US};
+use crate::{
+    Ticks,
+    limits::{CHANNELS, TICKS_PER_US},
+};
 use keys::AxisId;
 
 /// Most inputs of a node: 4 axes with 3 switches each, C and D with 2 each, stop and probe are 18.
@@ -135,6 +138,30 @@ pub enum Switch {
     Home,
 }
 
+impl core::fmt::Display for Switch {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Min => "min limit",
+            Self::Max => "max limit",
+            Self::Home => "home switch",
+        })
+    }
+}
+
+/// A level of an input pin, as its interrupt found it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PinLevel {
+    /// Index of the input.
+    pub index: usize,
+    /// The level from then on.
+    pub level: bool,
+    /// When.
+    pub at: Ticks,
+    /// What the pulse counters of the axes showed then, steps since boot. So a position taken at
+    /// the edge is exact however late the edge is told.
+    pub counted_steps: [i64; CHANNELS],
+}
+
 /// What an input is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
@@ -231,7 +258,20 @@ impl InputMap {
             return Err(MapError::TooMany);
         }
         let mut map = Self::EMPTY;
-        for (index, (to, config)) in map.inputs.iter_mut().zip(configs).enumerate() {
+        for (to, config) in map.inputs.iter_mut().zip(configs) {
+            *to = Some(*config);
+        }
+        map.check(axis_count)?;
+        Ok(map)
+    }
+
+    /// Checks that a node with so many axes can have these inputs.
+    ///
+    /// # Errors
+    /// The first input that cannot be.
+    pub fn check(&self, axis_count: usize) -> Result<(), MapError> {
+        let configs = self.inputs.iter().enumerate();
+        for (index, config) in configs.filter_map(|(index, input)| Some((index, (*input)?))) {
             match config.role {
                 Role::Axis { axis, .. } if usize::from(axis.0) >= axis_count => {
                     return Err(MapError::Axis { index, axis });
@@ -244,9 +284,8 @@ impl InputMap {
             if config.filter.active_us.max(config.filter.inactive_us) > FILTER_US_MAX {
                 return Err(MapError::Filter { index });
             }
-            *to = Some(*config);
         }
-        Ok(map)
+        Ok(())
     }
 
     /// Returns an input's settings.
@@ -269,6 +308,8 @@ pub struct InputEvent {
     pub active: bool,
     /// The edge since which it has held.
     pub at: Ticks,
+    /// What the pulse counters showed at that edge.
+    pub counted_steps: [i64; CHANNELS],
 }
 
 /// The inputs of a node.
@@ -276,6 +317,8 @@ pub struct InputEvent {
 pub struct Inputs {
     map: InputMap,
     pins: [Option<Debounce>; INPUTS_MAX],
+    /// Counters at the edge of each pin that does not count yet.
+    latches: [[i64; CHANNELS]; INPUTS_MAX],
 }
 
 impl Inputs {
@@ -287,7 +330,11 @@ impl Inputs {
                 Debounce::new(config.filter, config.active_low, level_of(index), now)
             });
         }
-        Self { map, pins }
+        Self {
+            map,
+            pins,
+            latches: [[0; CHANNELS]; INPUTS_MAX],
+        }
     }
 
     /// Returns which input is what.
@@ -300,21 +347,24 @@ impl Inputs {
         self.of(role).any(|pin| pin.is_active())
     }
 
-    /// Takes the level of a pin at an edge, by the input's index; an index without an input means
-    /// nothing. Gives at most two events. Call [`Inputs::poll`] up to `at` before.
-    pub fn level(
-        &mut self,
-        index: usize,
-        level: bool,
-        at: Ticks,
-    ) -> impl Iterator<Item = InputEvent> + use<> {
+    /// Takes the level of a pin at an edge; an index without an input means nothing. Gives at most
+    /// two events. Call [`Inputs::poll`] up to that time before.
+    pub fn level(&mut self, edge: PinLevel) -> impl Iterator<Item = InputEvent> + use<> {
         let mut events = [None; 2];
+        let index = edge.index;
         if let (Some(config), Some(Some(pin))) = (self.map.get(index), self.pins.get_mut(index)) {
             let role = config.role;
-            let changes = pin.level(level, at);
+            let latch = &mut self.latches[index];
+            let before = pin.poll(edge.at).map(|change| (change, *latch));
+            // Until then nothing waited to count: if something does now, it began here.
+            if pin.candidate.is_none() {
+                *latch = edge.counted_steps;
+            }
+            let change = pin.level(edge.level, edge.at).next();
+            let changes = [before, change.map(|change| (change, *latch))];
             let others = self.others_active(index, role);
-            for (event, change) in events.iter_mut().zip(changes) {
-                *event = event_of(role, change, others);
+            for (event, (change, latch)) in events.iter_mut().zip(changes.into_iter().flatten()) {
+                *event = event_of(role, change, latch, others);
             }
         }
         events.into_iter().flatten()
@@ -330,7 +380,7 @@ impl Inputs {
             let role = self.map.get(index).map(|config| config.role);
             if let (Some(change), Some(role)) = (change, role) {
                 let others = self.others_active(index, role);
-                if let Some(event) = event_of(role, change, others) {
+                if let Some(event) = event_of(role, change, self.latches[index], others) {
                     return Some(event);
                 }
             }
@@ -367,11 +417,17 @@ impl Inputs {
 }
 
 /// While another input of the role is active, nothing changes.
-fn event_of(role: Role, change: Change, others_active: bool) -> Option<InputEvent> {
+fn event_of(
+    role: Role,
+    change: Change,
+    counted_steps: [i64; CHANNELS],
+    others_active: bool,
+) -> Option<InputEvent> {
     (!others_active).then_some(InputEvent {
         role,
         active: change.active,
         at: change.at,
+        counted_steps,
     })
 }
 
@@ -562,6 +618,15 @@ mod tests {
         switch: Switch::Min,
     };
 
+    fn edge(index: usize, level: bool, at_us: u64) -> PinLevel {
+        PinLevel {
+            index,
+            level,
+            at: us(at_us),
+            counted_steps: [at_us as i64; CHANNELS],
+        }
+    }
+
     fn input(role: Role) -> InputConfig {
         InputConfig {
             role,
@@ -641,7 +706,7 @@ mod tests {
         let mut change = |index: usize, level: bool| {
             at += 10;
             inputs
-                .level(index, level, us(at))
+                .level(edge(index, level, at))
                 .map(|event| (event.role, event.active))
                 .collect::<Vec<_>>()
         };
@@ -652,6 +717,25 @@ mod tests {
         assert_eq!(change(1, true), [(X_MIN, false)]);
         assert_eq!(change(3, true), [], "no such input");
         assert_eq!(change(INPUTS_MAX, true), [], "no such input");
+    }
+
+    #[test]
+    fn a_change_has_the_counters_of_the_edge_since_which_it_holds() {
+        let map = InputMap::new(&[input(X_MIN)], 1).expect("legal");
+        let mut inputs = Inputs::new(map, |_| true, us(0));
+        let told = |event: InputEvent| (event.active, event.at, event.counted_steps[0]);
+        for (level, at) in [(false, 100), (true, 105), (false, 110), (false, 115)] {
+            assert_eq!(inputs.level(edge(0, level, at)).count(), 0, "bounce");
+        }
+        assert_eq!(inputs.poll(us(130)).map(told), Some((true, us(110), 110)));
+        // Released, and told so only with the next edge.
+        assert_eq!(inputs.level(edge(0, true, 1_000)).count(), 0);
+        let late: Vec<_> = inputs.level(edge(0, false, 9_000)).map(told).collect();
+        assert_eq!(late, [(false, us(1_000), 1_000)]);
+        assert_eq!(
+            inputs.poll(us(9_020)).map(told),
+            Some((true, us(9_000), 9_000))
+        );
     }
 
     #[test]
@@ -669,7 +753,7 @@ mod tests {
         let mut inputs = Inputs::new(map, |_| false, us(0));
         assert_eq!(inputs.poll_timeout(), None);
         for (index, at) in [(0, 100), (1, 150), (2, 110)] {
-            assert_eq!(inputs.level(index, true, us(at)).count(), 0);
+            assert_eq!(inputs.level(edge(index, true, at)).count(), 0);
         }
         assert_eq!(inputs.poll_timeout(), Some(us(140)));
         assert_eq!(inputs.poll(us(139)), None);

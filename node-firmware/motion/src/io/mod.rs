@@ -10,7 +10,9 @@
 //! ```
 //!
 //! All are pure: events and times in, effects out. Nothing here knows the queue, the planner or a
-//! pin's number; each file stands alone and can be read alone.
+//! pin's number; each file stands alone and can be read alone. What joins them to the queue is in
+//! `motion/`. Direction pins are no part of it: one behind a shift register would need a rest and a
+//! confirmation at every turn.
 
 pub mod enable;
 pub mod home;

@@ -14,15 +14,14 @@
 //! rate and knows none of 0 Hz: what does not move is halted.
 
 use super::input::Switch;
-use crate::{Direction, Ticks, limits::TICK_HZ};
+use crate::{Direction, Ticks, limits::TICK_HZ, scale::round_div};
 use core::fmt;
 use keys::command::POSITION_C_MAX;
 
 /// Named positions of C.
 pub const POSITIONS_C: usize = POSITION_C_MAX as usize + 1;
 
-/// Finest scale: 10⁷ steps per mm.
-pub const STEPS_PER_M_MAX: u32 = 4_000_000_000;
+pub use crate::scale::STEPS_PER_M_MAX;
 
 /// Fastest step rate of C, Hz.
 pub const C_HZ_MAX: u32 = 200_000;
@@ -590,12 +589,6 @@ fn steps_of(position_um: i32, steps_per_m: u32) -> i64 {
 /// Returns a speed in steps, Hz, rounded down: no axis is faster than it was told.
 fn rate_of(speed_um_per_s: u32, steps_per_m: u32) -> u64 {
     u64::from(speed_um_per_s) * u64::from(steps_per_m) / 1_000_000
-}
-
-/// Divides, rounds to the nearest, and halves away from 0.
-const fn round_div(value: i128, by: i128) -> i128 {
-    let half = if value < 0 { -by / 2 } else { by / 2 };
-    (value + half) / by
 }
 
 #[cfg(test)]

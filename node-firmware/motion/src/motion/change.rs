@@ -2,7 +2,7 @@
 //! taken back, and the path goes on from there under what has changed.
 
 use super::{
-    Hold, Motion, Phase, lines_of,
+    Hold, Motion, Phase, lines_behind,
     marks::{Mark, What},
 };
 use keys::Command;
@@ -23,6 +23,9 @@ impl<B: StepBackend> Motion<'_, B> {
         let Phase::Playing { .. } = self.phase else {
             return None;
         };
+        if self.is_drive_ending() {
+            return None;
+        }
         let axes = &mut self.backend.axes()[..self.axis_count];
         let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
         if !on_path || axes.iter().any(Axis::has_ended) {
@@ -46,7 +49,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Goes on with a line that was left; `own` is its mark, a drive has none.
     pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
         let ring = &self.ring;
-        let behind = lines_of((0..).map_while(|index| ring.peek_at(index)));
+        let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some());
         let axes = &self.backend.axes()[..self.axis_count];
         let begun = self.planner.go_on(split, behind, axes);
         if let Some(What::Path(steps)) = own {
@@ -83,6 +86,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Hold::None => self.hold = Hold::Slowing,
         }
         self.planner.hold(true);
+        self.withhold_laser();
         if now >= self.now {
             self.change_soon();
         }
@@ -120,6 +124,11 @@ impl<B: StepBackend> Motion<'_, B> {
                 self.change_soon();
             }
             Hold::None | Hold::Resuming(_) => {}
+        }
+        if let Phase::Playing { .. } = self.phase
+            && self.drive.is_none()
+        {
+            self.give_laser_back();
         }
     }
 
@@ -181,7 +190,7 @@ impl<B: StepBackend> Motion<'_, B> {
             What::Origin {
                 axis, before_steps, ..
             } => self.planned_origins_steps[usize::from(axis.0)] = before_steps,
-            What::Rest | What::Laser { .. } | What::Lidar => {}
+            What::Rest | What::Laser { .. } | What::Lidar | What::StatusCd => {}
         }
     }
 }

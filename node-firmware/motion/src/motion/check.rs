@@ -1,12 +1,16 @@
 //! What can be executed here, asked before a command is taken.
 
-use super::Motion;
+use super::{Beyond, Motion};
 use crate::{
     StepBackend,
+    io::named::GotoError,
     limits::TICK_HZ,
     planner::{runs_of, ticks_of},
 };
-use keys::{AxisId, Command, command::RampShape};
+use keys::{
+    AxisId, Command,
+    command::{POSITION_C_MAX, RampShape},
+};
 
 /// Why a command cannot be executed here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +19,8 @@ pub enum CommandError {
     Axis(AxisId),
     /// This firmware cannot do it.
     NotSupported,
+    /// The axis has no reference switch.
+    NoHome(AxisId),
     /// The interval is shorter than the driver's pulse, ns.
     TooFast {
         /// The shortest interval of the axis.
@@ -26,6 +32,15 @@ pub enum CommandError {
     TooLong,
     /// A value out of range.
     Range,
+    /// C has no such position.
+    PositionC,
+    /// An axis would leave its soft limits.
+    Beyond {
+        /// The axis.
+        axis: AxisId,
+        /// Where to.
+        beyond: Beyond,
+    },
 }
 
 impl CommandError {
@@ -43,6 +58,7 @@ impl core::fmt::Display for CommandError {
         match self {
             Self::Axis(axis) => write!(f, "there is no axis {}", axis.0),
             Self::NotSupported => write!(f, "not supported by this node's firmware"),
+            Self::NoHome(axis) => write!(f, "axis {} has no reference switch", axis.0),
             Self::TooFast { interval_ns_min } => write!(
                 f,
                 "the driver needs at least {interval_ns_min} ns from step to step"
@@ -50,6 +66,8 @@ impl core::fmt::Display for CommandError {
             Self::Nothing => write!(f, "no steps, or no time between them"),
             Self::TooLong => write!(f, "it would take thousands of years"),
             Self::Range => write!(f, "a value is out of range"),
+            Self::PositionC => GotoError::Position.fmt(f),
+            Self::Beyond { axis, beyond } => write!(f, "axis {} would move {beyond}", axis.0),
         }
     }
 }
@@ -62,13 +80,16 @@ impl<B: StepBackend> Motion<'_, B> {
     /// # Errors
     /// Why not.
     pub fn check(&self, command: &Command) -> Result<(), CommandError> {
-        if !self.features().has(command.feature()) {
-            return Err(CommandError::NotSupported);
-        }
         if let Some(axis) = command.axis_max()
             && usize::from(axis.0) >= self.axis_count
         {
             return Err(CommandError::Axis(axis));
+        }
+        if !self.features().has(command.feature()) {
+            return Err(match *command {
+                Command::Home { axis } => CommandError::NoHome(axis),
+                _ => CommandError::NotSupported,
+            });
         }
         match *command {
             Command::Move {
@@ -79,6 +100,9 @@ impl<B: StepBackend> Motion<'_, B> {
             }
             Command::Laser { power_percent } if power_percent > 100 => {
                 return Err(CommandError::Range);
+            }
+            Command::MoveC { index } if index > POSITION_C_MAX => {
+                return Err(CommandError::PositionC);
             }
             _ => {}
         }

@@ -155,6 +155,12 @@ impl core::fmt::Display for DriveError {
 
 impl core::error::Error for DriveError {}
 
+impl From<CommandError> for DriveError {
+    fn from(error: CommandError) -> Self {
+        Self::Command(error)
+    }
+}
+
 /// One axis that is driven.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
@@ -163,6 +169,8 @@ pub(super) struct Drive {
     pub(super) next: Option<Leg>,
     /// It is to leave its present leg for that, or for rest, as soon as possible.
     pub(super) due: bool,
+    /// It slows down to rest, wherever that is: its present way leads nowhere.
+    pub(super) ending: bool,
 }
 
 /// A way from rest.
@@ -179,15 +187,41 @@ const WAY_STEPS_MAX: i128 = 1 << 61;
 impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
     /// and target, without a stop where physics allows. [`MotionEvent::DriveEnded`] tells that it
-    /// rests. The queue waits meanwhile.
+    /// rests. The queue waits meanwhile. Soft limits hold it inside: it comes to rest on them.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
     pub fn drive(&mut self, axis: AxisId, target: Target, how: Course) -> Result<(), DriveError> {
-        let index = usize::from(axis.0);
-        if index >= self.axis_count {
+        if self.station {
+            return Err(DriveError::Busy);
+        }
+        if usize::from(axis.0) >= self.axis_count {
             return Err(DriveError::Command(CommandError::Axis(axis)));
         }
+        let to_steps = self.target_of(axis, target);
+        let to_steps = self.held_inside(usize::from(axis.0), to_steps);
+        self.drive_to(axis, to_steps, how)
+    }
+
+    /// Where a target is, steps since boot.
+    pub(super) fn target_of(&self, axis: AxisId, target: Target) -> i64 {
+        let index = usize::from(axis.0);
+        match target {
+            Target::By(steps) => self.target_steps(index).saturating_add(steps),
+            Target::To(position) => position.wrapping_sub(self.planned_origins_steps[index]),
+            Target::Forever(Direction::Positive) => i64::MAX,
+            Target::Forever(Direction::Negative) => i64::MIN,
+        }
+    }
+
+    /// The same without regard to soft limits; the axis exists.
+    pub(super) fn drive_to(
+        &mut self,
+        axis: AxisId,
+        to_steps: i64,
+        how: Course,
+    ) -> Result<(), DriveError> {
+        let index = usize::from(axis.0);
         how.check(self.timing[index].interval_ticks_min())
             .map_err(DriveError::Command)?;
         let free = match self.drive {
@@ -197,15 +231,15 @@ impl<B: StepBackend> Motion<'_, B> {
         if !free || !matches!(self.hold, Hold::None) || self.is_stopping() {
             return Err(DriveError::Busy);
         }
-        let to_steps = match target {
-            Target::By(steps) => self.target_steps(index).saturating_add(steps),
-            Target::To(position) => position.wrapping_sub(self.planned_origins_steps[index]),
-            Target::Forever(Direction::Positive) => i64::MAX,
-            Target::Forever(Direction::Negative) => i64::MIN,
-        };
         let next = Some(Leg { to_steps, how });
         let due = self.drive.is_some();
-        self.drive = Some(Drive { axis, next, due });
+        let ending = self.drive.is_some_and(|drive| drive.ending);
+        self.drive = Some(Drive {
+            axis,
+            next,
+            due,
+            ending,
+        });
         self.change_drive();
         Ok(())
     }
@@ -227,13 +261,22 @@ impl<B: StepBackend> Motion<'_, B> {
                     self.rest_drive(index, split, law);
                 }
             }
+            // Both say whether it comes to rest.
+            drive.ending = self.drive.is_some_and(|drive| drive.ending);
         }
         drive.due = false;
         self.drive = Some(drive);
     }
 
-    /// Ends a drive: at once, or by its own ramp. Nothing happens without one.
+    /// Ends a drive: at once, or by its own ramp. Nothing happens without one, or while an axis is
+    /// homed: only a stop ends that.
     pub fn end_drive(&mut self, mode: StopMode) {
+        if self.homing.is_none() {
+            self.leave_or_halt(mode);
+        }
+    }
+
+    pub(super) fn leave_or_halt(&mut self, mode: StopMode) {
         let Some(drive) = self.drive.as_mut() else {
             return;
         };
@@ -242,6 +285,8 @@ impl<B: StepBackend> Motion<'_, B> {
         let axis = drive.axis;
         let index = usize::from(axis.0);
         let Phase::Playing { .. } = self.phase else {
+            // What was left of a way that was held is over.
+            self.planned_steps[index] = self.backend.played_steps(axis);
             return;
         };
         match mode {
@@ -276,10 +321,11 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Tells that a drive rests.
     pub(super) fn pass_drive(&mut self) -> Option<MotionEvent> {
         let ended = self.drive.is_some_and(|drive| drive.next.is_none());
-        (ended && self.phase == Phase::Rest).then(|| {
-            self.drive = None;
-            MotionEvent::DriveEnded
-        })
+        if !ended || self.phase != Phase::Rest {
+            return None;
+        }
+        self.drive = None;
+        (!self.pass_homing_drive()).then_some(MotionEvent::DriveEnded)
     }
 
     /// Begins the next leg of a drive from rest, at `begin`.
@@ -362,7 +408,8 @@ impl<B: StepBackend> Motion<'_, B> {
         let axes = &self.backend.axes()[..self.axis_count];
         self.planner.hold(true);
         let begun = self.planner.go_on(split, iter::empty(), axes);
-        self.planner.hold(false);
+        self.planner.hold(self.is_held());
+        self.set_ending(true);
         let made = begun.held.map_or(0, |held| held.from.place.rounded());
         self.planned_steps[axis] = base_steps + sign * made;
         self.note_path(
@@ -374,8 +421,20 @@ impl<B: StepBackend> Motion<'_, B> {
         );
     }
 
+    fn set_ending(&mut self, ending: bool) {
+        if let Some(drive) = self.drive.as_mut() {
+            drive.ending = ending;
+        }
+    }
+
+    /// Returns whether a drive slows down to rest already.
+    pub(super) fn is_drive_ending(&self) -> bool {
+        self.drive.is_some_and(|drive| drive.ending)
+    }
+
     fn resume_drive(&mut self, axis: usize, split: Split) {
         self.planned_steps[axis] = split.base_steps[axis] + split.line.steps[axis];
+        self.set_ending(false);
         let axes = &self.backend.axes()[..self.axis_count];
         let begun = self.planner.go_on(split, iter::empty(), axes);
         self.note_path(&begun, None);

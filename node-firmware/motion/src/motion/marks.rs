@@ -24,6 +24,7 @@ pub(super) enum What {
         power_percent: u8,
     },
     Lidar,
+    StatusCd,
     /// From here on, position = origin + played steps.
     Origin {
         axis: AxisId,
@@ -31,6 +32,13 @@ pub(super) enum What {
         /// What it was before.
         before_steps: i64,
     },
+}
+
+impl What {
+    /// Returns whether somebody is told when its time has come.
+    pub(super) const fn tells(&self) -> bool {
+        matches!(self, Self::Laser { .. } | Self::Lidar | Self::StatusCd)
+    }
 }
 
 /// Marks in order of time. Full is an answer: the planner waits.
