@@ -20,7 +20,7 @@ use super::{
     Fleet,
     event::{Effect, Lane, ReplyTo},
     start::{Edge, Limits, Start, Step},
-    submit::check_script,
+    submit::{check_script, script_of},
 };
 use crate::job::{Ending, Job, JobEntry, group::joined, new_record};
 use keys::{
@@ -94,7 +94,12 @@ pub(super) fn parts_of(request: &GroupRequest) -> BTreeMap<NodeId, Arc<[Command]
 }
 
 /// Makes a part of a job, without a barrier in its count.
-pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>) -> Job {
+pub(super) fn new_part(
+    whole: &JobEntry,
+    node: NodeId,
+    commands: Arc<[Command]>,
+    script: Option<Arc<str>>,
+) -> Job {
     let total = (commands.len() as u64).saturating_sub(1);
     let created = whole.record.created;
     let mut record = new_record(
@@ -113,10 +118,11 @@ pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>)
         ending: None,
         timeout_us: None,
         group: None,
+        script_end: None,
     };
     let mut part = Job::new(entry, commands);
     part.head_commands = 1;
-    part
+    part.with_script(script)
 }
 
 impl Fleet {
@@ -196,10 +202,12 @@ impl Fleet {
             ending: None,
             timeout_us: None,
             group: Some(Box::default()),
+            script_end: None,
         };
         let mut job = Job::new(entry, Arc::new([]));
         for (node, commands) in parts {
-            let part = new_part(&job.entry, node, commands);
+            let script = request.nodes.get(&node).and_then(script_of);
+            let part = new_part(&job.entry, node, commands, script);
             job.parts.insert(node, part);
         }
         job.measuring = true;

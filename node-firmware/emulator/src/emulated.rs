@@ -12,7 +12,8 @@ use crate::{
     vcd::VcdWriter,
 };
 use keys::{
-    AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
+    AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
+    command::COMMAND_WORDS,
 };
 use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
 use std::{
@@ -31,6 +32,8 @@ pub const PAST_LIVES_MAX: usize = 64;
 pub struct Bench {
     laser_percent: u8,
     lidar_requested: bool,
+    /// What a script has queued since the last look.
+    queued: Vec<TakenCommand>,
 }
 
 impl Bench {
@@ -47,6 +50,26 @@ impl Outputs for Bench {
 
     fn request_lidar(&mut self) {
         self.lidar_requested = true;
+    }
+
+    fn note_queued(
+        &mut self,
+        queue: QueueId,
+        first_command: u64,
+        commands: &[Command],
+        now: LocalMicros,
+    ) {
+        self.queued.extend(
+            commands
+                .iter()
+                .zip(first_command..)
+                .map(|(command, number)| TakenCommand {
+                    at: now,
+                    queue,
+                    number,
+                    command: *command,
+                }),
+        );
     }
 }
 
@@ -334,6 +357,13 @@ impl EmulatedNode {
     fn observe(&mut self, now: LocalMicros) {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
+        }
+        let queued = mem::take(&mut self.node.outputs_mut().queued);
+        if let Recording::Edges { max } = self.config.record
+            && !self.cut
+        {
+            self.commands.extend(queued);
+            self.cut |= self.commands.len() > max;
         }
         if self.config.record != Recording::Off
             && let Some(stop) = self.node.last_stop()

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!                    ┌────────────────────────── Node ──────────────────────────┐
+//!  script ─────────▶ │ script.rs ── Lua ──▶ │                                    │
 //!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
 //!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
@@ -17,6 +18,9 @@
 //! a batch, `stop.rs` the one stop path, `run.rs` the zenoh session around it.
 #![no_std]
 
+extern crate alloc;
+
+pub mod library;
 pub mod limits;
 pub mod outbox;
 pub mod run;
@@ -25,6 +29,7 @@ pub mod trace;
 mod clock;
 mod intake;
 mod report;
+mod script;
 mod start;
 mod stop;
 
@@ -32,17 +37,21 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
-    limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX},
+    library::Library,
+    limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
+    script::{Publication, Slot},
     start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
 };
+use ::script::Limits;
 use core::sync::atomic::AtomicU32;
 use keys::{
-    Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop, StopMode,
-    StopReason, StopReport,
+    Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
+    StopMode, StopReason, StopReport,
     clock::{ClockMessage, ClockReply},
+    script::REPORT_BYTES_MAX,
     status::{FAULTS_MAX, FaultCode},
     version,
 };
@@ -77,6 +86,8 @@ pub struct NodeConfig {
     pub link_loss: LinkLoss,
     /// How long the link must be gone for that, µs.
     pub link_loss_after_us: u64,
+    /// What a script may take.
+    pub script: Limits,
 }
 
 impl NodeConfig {
@@ -90,6 +101,7 @@ impl NodeConfig {
             motion: MotionConfig::default(),
             link_loss: LinkLoss::default(),
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
+            script: Limits::default(),
         }
     }
 }
@@ -132,6 +144,18 @@ pub trait Outputs {
 
     /// Asks for a lidar reading; it comes back as [`Inbound::Lidar`].
     fn request_lidar(&mut self);
+
+    /// A script has put these commands into the queue, the first one as this number. Whoever
+    /// judges the pulses wants to know; a board does not.
+    fn note_queued(
+        &mut self,
+        queue: QueueId,
+        first_command: u64,
+        commands: &[Command],
+        now: LocalMicros,
+    ) {
+        let _ = (queue, first_command, commands, now);
+    }
 }
 
 /// The firmware minus hardware. See the crate for the picture.
@@ -163,6 +187,11 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     faults: heapless::Vec<Fault, FAULTS_MAX>,
     laser_percent: u8,
     lidar_mm: Option<u32>,
+    lidar_count: u32,
+    script: Slot,
+    report_due: bool,
+    publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
+    stored: Library,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     trace: Trace,
@@ -209,6 +238,11 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             faults: heapless::Vec::new(),
             laser_percent: 0,
             lidar_mm: None,
+            lidar_count: 0,
+            script: Slot::None,
+            report_due: false,
+            publications: heapless::Deque::new(),
+            stored: Library::default(),
             rssi_dbm: None,
             outbox: Outbox::new(),
             trace: Trace::new(),
@@ -265,9 +299,14 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
-            Inbound::Lidar { mm } => self.lidar_mm = Some(mm),
+            Inbound::Lidar { mm } => {
+                self.lidar_mm = Some(mm);
+                self.lidar_count = self.lidar_count.wrapping_add(1);
+            }
             Inbound::SignalStrength { rssi_dbm } => self.rssi_dbm = rssi_dbm,
         }
+        self.run_motion(now);
+        self.run_script(now);
         self.run_motion(now);
         self.settle(now);
     }
@@ -277,6 +316,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         let now = self.advance_to(now);
         self.run_motion(now);
         self.watch_link(now);
+        self.run_script(now);
         self.run_motion(now);
         self.settle(now);
     }
@@ -293,6 +333,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.motion.poll_timeout().map(local_from_ticks),
             self.status_timeout(),
             self.start_timeout(),
+            self.script_timeout(),
             link_loss,
             line,
         ]
@@ -329,9 +370,28 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_told_at = now;
             return Some(outbound(NodeTopic::Status, &self.status()));
         }
+        if let Slot::Ended { report, text, .. } = &self.script
+            && self.report_due
+        {
+            self.report_due = false;
+            let mut buffer = [0; REPORT_BYTES_MAX];
+            return Some(Outbound {
+                topic: NodeTopic::Report,
+                suffix: heapless::String::new(),
+                payload: report.encode(text, &mut buffer).iter().copied().collect(),
+            });
+        }
+        if let Some(publication) = self.publications.pop_front() {
+            return Some(Outbound {
+                topic: NodeTopic::Data,
+                suffix: publication.suffix,
+                payload: publication.json.bytes().collect(),
+            });
+        }
         let line = self.outbox.pop_line(now)?;
         Some(Outbound {
             topic: NodeTopic::Log,
+            suffix: heapless::String::new(),
             payload: line.as_bytes().iter().copied().collect(),
         })
     }
@@ -384,6 +444,16 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Returns the outputs, for those who emulate them.
     pub fn outputs_mut(&mut self) -> &mut O {
         &mut self.outputs
+    }
+
+    /// Returns the stored scripts.
+    pub fn library(&self) -> &Library {
+        &self.stored
+    }
+
+    /// Returns the stored scripts, to change them.
+    pub fn library_mut(&mut self) -> &mut Library {
+        &mut self.stored
     }
 
     /// Returns the last events and their counters.
@@ -475,6 +545,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         self.link_loss_settled = false;
         self.status_due = true;
+        // What was on its way when the link went may be lost.
+        if let Slot::Ended { say_at, .. } = &mut self.script {
+            *say_at = now;
+        }
     }
 
     fn take_link_down(&mut self, now: LocalMicros) {
@@ -493,6 +567,7 @@ fn outbound<M: serde::Serialize>(topic: NodeTopic, message: &M) -> Outbound {
         .expect("OUTBOUND_BYTES_MAX holds every message of a node");
     Outbound {
         topic,
+        suffix: heapless::String::new(),
         payload: used.iter().copied().collect(),
     }
 }

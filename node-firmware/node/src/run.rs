@@ -11,7 +11,8 @@
 //! offered again: the outbox behind it has its own bounds.
 
 use crate::{Inbound, Node, Outbound, Outputs};
-use keys::{Keys, LocalMicros, NodeId, NodeTopic};
+use core::fmt::Write;
+use keys::{Keys, LocalMicros, NodeId, NodeTopic, key::KeyText};
 use motion::StepBackend;
 use pico::{
     event::{
@@ -60,17 +61,22 @@ const HEARD: [NodeTopic; 4] = [
 ];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 5] = [
+const SPOKEN: [NodeTopic; 6] = [
     NodeTopic::Clock,
     NodeTopic::Start,
     NodeTopic::Ack,
     NodeTopic::Status,
     NodeTopic::Log,
+    NodeTopic::Report,
 ];
 
 /// Numbers of zenoh's encodings.
 const OCTET_STREAM: u16 = 3;
 const TEXT_PLAIN: u16 = 4;
+const JSON: u16 = 5;
+
+/// Longest key that a script publishes on.
+const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 
 /// A node's declarations on its session. They outlive connections: the session declares them again
 /// on each.
@@ -80,6 +86,8 @@ pub struct NodeLink {
     spoken: [(PublisherId, NodeTopic); SPOKEN.len()],
     token: TokenId,
     held: Option<Outbound>,
+    /// Below which a script publishes.
+    data: KeyText,
 }
 
 impl NodeLink {
@@ -108,6 +116,7 @@ impl NodeLink {
             (publish(SPOKEN[2])?, SPOKEN[2]),
             (publish(SPOKEN[3])?, SPOKEN[3]),
             (publish(SPOKEN[4])?, SPOKEN[4]),
+            (publish(SPOKEN[5])?, SPOKEN[5]),
         ];
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
@@ -116,6 +125,7 @@ impl NodeLink {
             spoken,
             token,
             held: None,
+            data: keys.node(name, NodeTopic::Data),
         })
     }
 
@@ -170,6 +180,13 @@ impl NodeLink {
     }
 
     fn put(&self, session: &mut Session, outbound: &Outbound) -> Result<(), PutError> {
+        let options = options_of(outbound.topic);
+        if outbound.topic == NodeTopic::Data {
+            let mut key = heapless::String::<DATA_KEY_BYTES_MAX>::new();
+            // Cannot fail: it was counted.
+            let _ = write!(key, "{}/{}", self.data, outbound.suffix);
+            return session.put(key.as_str(), &outbound.payload, &options);
+        }
         let spoken = self
             .spoken
             .iter()
@@ -177,7 +194,7 @@ impl NodeLink {
         let Some((publisher, _)) = spoken else {
             return Ok(());
         };
-        session.put(*publisher, &outbound.payload, &options_of(outbound.topic))
+        session.put(*publisher, &outbound.payload, &options)
     }
 }
 
@@ -187,6 +204,8 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         NodeTopic::Clock => (Priority::RealTime, Congestion::Drop, true, OCTET_STREAM),
         NodeTopic::Start => (Priority::RealTime, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Ack => (Priority::DataHigh, Congestion::Block, true, OCTET_STREAM),
+        NodeTopic::Report => (Priority::DataHigh, Congestion::Block, false, OCTET_STREAM),
+        NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),
         NodeTopic::Log => (Priority::Background, Congestion::Drop, false, TEXT_PLAIN),
         _ => (Priority::DataHigh, Congestion::Drop, false, OCTET_STREAM),
     };
