@@ -15,7 +15,7 @@ use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
     command::COMMAND_WORDS,
 };
-use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
+use node::{Inbound, Node, NodeConfig, Outbound, Outputs, library::Library};
 use std::{
     io::{self, Write},
     mem,
@@ -242,7 +242,11 @@ impl EmulatedNode {
             self.past.remove(0);
         }
         self.past.push(life);
+        // What is stored stays, as in flash.
+        let library = mem::take(self.node.library_mut());
         self.node = boot_node(&self.memory, &self.config, boot, self.boots);
+        *self.node.library_mut() = library;
+        self.node.run_boot_script(LocalMicros(0));
         self.boots += 1;
         self.lidar_due = None;
     }
@@ -420,6 +424,14 @@ impl node::run::Host for EmulatedNode {
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
         Self::poll_outbox(self, now)
     }
+
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        self.node.store_script(now, name, text);
+    }
+
+    fn library(&self) -> &Library {
+        self.node.library()
+    }
 }
 
 fn boot_node(memory: &RingMemory, config: &EmulatorConfig, boot: u32, boots: u64) -> InnerNode {
@@ -433,6 +445,8 @@ fn boot_node(memory: &RingMemory, config: &EmulatorConfig, boot: u32, boots: u64
         motion,
         link_loss: config.link_loss,
         link_loss_after_us: config.link_loss_after_us,
+        script: config.script,
+        boot_script: config.boot_script,
         ..NodeConfig::new(config.name, boot)
     };
     Node::new(memory.words(), backend, Bench::default(), node_config)

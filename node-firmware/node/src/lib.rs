@@ -88,6 +88,8 @@ pub struct NodeConfig {
     pub link_loss_after_us: u64,
     /// What a script may take.
     pub script: Limits,
+    /// Whether the stored script `boot` runs when the node starts.
+    pub boot_script: bool,
 }
 
 impl NodeConfig {
@@ -102,6 +104,7 @@ impl NodeConfig {
             link_loss: LinkLoss::default(),
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
             script: Limits::default(),
+            boot_script: false,
         }
     }
 }
@@ -449,6 +452,19 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Returns the stored scripts.
     pub fn library(&self) -> &Library {
         &self.stored
+    }
+
+    /// Stores a script, or removes it, and says so in the log.
+    pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        let now = self.advance_to(now);
+        match text.map(|text| self.stored.put(name, text)) {
+            None => {
+                self.stored.remove(name);
+                self.log(now, format_args!("script {name} removed"));
+            }
+            Some(Ok(())) => self.log(now, format_args!("script {name} stored")),
+            Some(Err(error)) => self.log(now, format_args!("script {name} not stored: {error}")),
+        }
     }
 
     /// Returns the stored scripts, to change them.

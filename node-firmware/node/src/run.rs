@@ -10,14 +10,15 @@
 //! on the board and in the emulator. What the session cannot take now is held, one message, and
 //! offered again: the outbox behind it has its own bounds.
 
-use crate::{Inbound, Node, Outbound, Outputs};
+use crate::{Inbound, Node, Outbound, Outputs, library::Library};
+use alloc::{format, string::String, vec::Vec};
 use core::fmt::Write;
 use keys::{Keys, LocalMicros, NodeId, NodeTopic, key::KeyText};
 use motion::StepBackend;
 use pico::{
     event::{
-        Congestion, DeclareError, Encoding, Priority, PublisherId, PutError, PutOptions,
-        SampleKind, SubscriberId, TokenId,
+        Congestion, DeclareError, Encoding, InboundQuery, Priority, PublisherId, PutError,
+        PutOptions, QueryableId, ReplyError, SampleKind, SubscriberId, TokenId,
     },
     session::{Event, Session},
 };
@@ -32,6 +33,10 @@ pub trait Host {
     fn poll_timeout(&self) -> Option<LocalMicros>;
     /// See [`Node::poll_outbox`].
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound>;
+    /// See [`Node::store_script`].
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>);
+    /// See [`Node::library`].
+    fn library(&self) -> &Library;
 }
 
 impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
@@ -49,6 +54,14 @@ impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
 
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
         Node::poll_outbox(self, now)
+    }
+
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        Node::store_script(self, now, name, text);
+    }
+
+    fn library(&self) -> &Library {
+        Node::library(self)
     }
 }
 
@@ -75,6 +88,9 @@ const OCTET_STREAM: u16 = 3;
 const TEXT_PLAIN: u16 = 4;
 const JSON: u16 = 5;
 
+/// The key of stored scripts.
+type ScriptKey = heapless::String<DATA_KEY_BYTES_MAX>;
+
 /// Longest key that a script publishes on.
 const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 
@@ -88,6 +104,13 @@ pub struct NodeLink {
     held: Option<Outbound>,
     /// Below which a script publishes.
     data: KeyText,
+    /// Stored scripts: put, delete and get.
+    store: SubscriberId,
+    shelf: QueryableId,
+    /// The key below which they are.
+    scripts: ScriptKey,
+    /// Gets that wait for room: what is left to send for each.
+    gets: Vec<(InboundQuery, Vec<String>)>,
 }
 
 impl NodeLink {
@@ -118,6 +141,12 @@ impl NodeLink {
             (publish(SPOKEN[4])?, SPOKEN[4]),
             (publish(SPOKEN[5])?, SPOKEN[5]),
         ];
+        let mut scripts = ScriptKey::new();
+        // Cannot fail: it was counted.
+        let _ = write!(scripts, "{}/node/{name}/script", keys.prefix());
+        let every = format!("{scripts}/*");
+        let store = session.declare_subscriber(&every)?;
+        let shelf = session.declare_queryable(&every, true)?;
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
         Ok(Self {
@@ -126,6 +155,10 @@ impl NodeLink {
             token,
             held: None,
             data: keys.node(name, NodeTopic::Data),
+            store,
+            shelf,
+            scripts,
+            gets: Vec::new(),
         })
     }
 
@@ -146,7 +179,24 @@ impl NodeLink {
                 Event::Opened => host.handle(now, Inbound::LinkUp),
                 Event::Closed { .. } => {
                     self.held = None;
+                    self.gets.clear();
                     host.handle(now, Inbound::LinkDown);
+                }
+                Event::Message { subscriber, sample } if subscriber == self.store => {
+                    let name = sample.key.rsplit('/').next().unwrap_or_default();
+                    let text = (sample.kind == SampleKind::Put).then_some(&sample.payload[..]);
+                    host.store_script(now, name, text);
+                }
+                Event::Query {
+                    query,
+                    queryable,
+                    key,
+                    ..
+                } if queryable == self.shelf => {
+                    let asked = key.rsplit('/').next().unwrap_or_default();
+                    let names = host.library().iter().map(|(name, _)| name);
+                    let names = names.filter(|name| is_meant(asked, name));
+                    self.gets.push((query, names.map(String::from).collect()));
                 }
                 Event::Message { subscriber, sample } => {
                     let Some(topic) = self.topic_of(subscriber) else {
@@ -162,6 +212,7 @@ impl NodeLink {
                 _ => {}
             }
         }
+        self.answer(host, session);
         host.poll(now);
         while let Some(outbound) = self.held.take().or_else(|| host.poll_outbox(now)) {
             // Closed: the next status says everything. Any other error cannot be helped by another
@@ -172,6 +223,33 @@ impl NodeLink {
             }
         }
         host.poll_timeout()
+    }
+
+    /// Replies to gets of stored scripts, as far as there is room.
+    fn answer<H: Host>(&mut self, host: &H, session: &mut Session) {
+        let options = PutOptions {
+            encoding: Encoding {
+                id: TEXT_PLAIN,
+                schema: None,
+            },
+            ..PutOptions::default()
+        };
+        while let Some((query, names)) = self.gets.first_mut() {
+            if let Some(name) = names.last() {
+                let text = host.library().get(name).unwrap_or_default();
+                let key = format!("{}/{name}", self.scripts);
+                match session.reply(query, &key, text.as_bytes(), &options) {
+                    Err(ReplyError::Full) => return,
+                    // Told, or nobody listens any more.
+                    _ => names.pop(),
+                };
+            } else {
+                if session.reply_final(query) == Err(ReplyError::Full) {
+                    return;
+                }
+                self.gets.remove(0);
+            }
+        }
     }
 
     fn topic_of(&self, subscriber: SubscriberId) -> Option<NodeTopic> {
@@ -195,6 +273,19 @@ impl NodeLink {
             return Ok(());
         };
         session.put(*publisher, &outbound.payload, &options)
+    }
+}
+
+/// Returns whether the last chunk of a key means this name.
+fn is_meant(asked: &str, name: &str) -> bool {
+    match asked.split_once("$*") {
+        _ if asked == "*" || asked == "**" => true,
+        Some((before, after)) => {
+            name.len() >= before.len() + after.len()
+                && name.starts_with(before)
+                && name.ends_with(after)
+        }
+        None => asked == name,
     }
 }
 

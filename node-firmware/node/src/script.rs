@@ -182,6 +182,27 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         Ok(())
     }
 
+    /// Begins the stored script `boot`, if the configuration allows it and there is one. Whoever has
+    /// put the stored scripts back after a start calls this once.
+    pub fn run_boot_script(&mut self, now: LocalMicros) {
+        let now = self.advance_to(now);
+        let text = self.stored.get(BOOT.as_str()).map(String::from);
+        let Some(text) = text.filter(|_| self.config.boot_script && !self.script.is_running())
+        else {
+            return;
+        };
+        self.script = Slot::Arriving {
+            first_command: self.motion.accepted_commands(),
+            job: BOOT,
+            text: text.into_bytes(),
+        };
+        // A ring has room for one at least when a node starts.
+        if self.begin_script(now).is_err() {
+            self.script = Slot::None;
+        }
+        self.settle(now);
+    }
+
     /// Lets the script go on, if there is one and it can.
     pub(crate) fn run_script(&mut self, now: LocalMicros) {
         if self.phase != Phase::Open {
@@ -336,6 +357,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
 /// The most that [`motion::Motion::set_speed_percent`] takes.
 const SPEED_PERCENT_MAX: u16 = 400;
+
+/// The name of the script that may run at the start, and of its job.
+const BOOT: JobId = match JobId::new("boot") {
+    Ok(name) => name,
+    Err(_) => panic!("a name"),
+};
 
 /// What stands for a script in the queue.
 const MARK: Command = Command::Pause { pause_ms: 0 };

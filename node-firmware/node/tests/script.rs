@@ -286,8 +286,7 @@ fn hold_resume_and_speed_act_on_lines_under_way() {
     let mut rig = Rig::new(config());
     send(
         &mut rig,
-        "for i = 1, 40 do motor.queue_line({800, 320}, 4000, 2000) end motor.execute()
-         sleep(3000) motor.hold() sleep(3000) local held = motor.get_position(0)
+        "motor.queue_line({32000, 12800}, 4000, 2000) motor.execute() sleep(3000) motor.hold() sleep(3000) local held = motor.get_position(0)
          local state = node.status().state sleep(500)
          local still = motor.get_position(0) == held and state
          motor.set_speed_percent(50) motor.resume() wait_idle()
@@ -323,6 +322,30 @@ fn lidar_laser_log_and_values_get_where_they_belong() {
         data.map(|sent| sent.2.as_slice()),
         Some(&br#"{"mm":3}"#[..])
     );
+}
+
+#[test]
+fn a_boot_script_runs_only_where_the_configuration_allows_it() {
+    for allowed in [false, true] {
+        let mut config = config();
+        config.boot_script = allowed;
+        let mut rig = Rig::new(config);
+        let now = rig.now;
+        let text: &[u8] = b"motor.queue_move(0, 100, 30)";
+        rig.node.node_mut().store_script(now, "boot", Some(text));
+        rig.run_for(1_000_000);
+        assert_eq!(rig.position(), 0);
+        rig.node.reset(99);
+        rig.now = keys::LocalMicros(0);
+        rig.link(true);
+        rig.run_for(1_000_000);
+        assert_eq!(rig.position(), if allowed { 30 } else { 0 });
+        check_pulses(&mut rig);
+        // Removed, it is gone for good.
+        let now = rig.now;
+        rig.node.node_mut().store_script(now, "boot", None);
+        assert!(rig.node.node().library().iter().next().is_none());
+    }
 }
 
 #[test]

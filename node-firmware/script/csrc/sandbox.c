@@ -197,6 +197,8 @@ static int take_args(lua_State *L, int top, const struct sf_function *function,
     luaL_error(L, "%s takes %d argument%s, got %d", display_name(L, function), expected,
                expected == 1 ? "" : "s", top);
   luaL_checkstack(L, ARGS_MAX + 4, "too many values");
+  /* What is spread below must not be taken for arguments that were left out. */
+  lua_settop(L, expected);
   for (int index = 1; index <= expected; index++) {
     switch (function->shape[index - 1]) {
       case 'l':
@@ -322,6 +324,7 @@ static int call_host(lua_State *L, int top, int again) {
   int count;
   lua_settop(L, top);
   count = take_args(L, top, function, args);
+  top = (int)strlen(function->shape);
   memset(&reply, 0, sizeof(reply));
   switch (sf_host_call(state, L, number, args, count, again, &reply)) {
     case DO_RETURN:

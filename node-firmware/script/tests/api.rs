@@ -81,6 +81,15 @@ fn every_command_is_queued_as_it_is_meant() {
             },
         ),
         (
+            "motor.queue_line({10, -4, 3}, 5000, 10000)",
+            Command::Line {
+                steps: [10, -4, 3, 0],
+                speed_hz: 5000,
+                accel_hz_per_s: 10000,
+                jerk_hz_per_s2: 0,
+            },
+        ),
+        (
             "motor.queue_set_position(2, 99)",
             Command::SetPosition {
                 axis: AxisId(2),
