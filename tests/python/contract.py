@@ -484,6 +484,33 @@ class Encodings(Case):
         self.assertEqual(record["error"]["code"], "bad_command")
         self.assertIn(":2: unexpected symbol near '='", record["error"]["message"])
 
+    def test_stored_scripts_are_put_listed_called_and_deleted(self):
+        base = f"fleet/node/{self.node}/script"
+        # Longer than any one message on the way to the node.
+        text = "local a = ... return a.x * 2 --" + "x" * 20_000
+        put(f"{base}/double", text)
+        put(f"{base}/other", "return 1")
+
+        def stored(selector):
+            replies = world.session.get(selector, timeout=PATIENCE_S)
+            found = [reply.ok for reply in replies if reply.ok is not None]
+            return {str(ok.key_expr): ok.payload.to_string() for ok in found}
+
+        both = {f"{base}/double": text, f"{base}/other": "return 1"}
+        deadline = time.monotonic() + PATIENCE_S
+        while stored(f"{base}/*") != both:
+            assert time.monotonic() < deadline, "the scripts are never stored"
+        self.assertEqual(stored(f"{base}/double"), {f"{base}/double": text})
+        job = {"call": "double", "args": {"x": 21}}
+        receipt = get_one(f"fleet/node/{self.node}/job", json.dumps(job), JSON)
+        self.assertEqual(self.finished(receipt["job"])["result"]["returned"], 42)
+        world.session.delete(f"{base}/double")
+        while stored(f"{base}/*") != {f"{base}/other": "return 1"}:
+            assert time.monotonic() < deadline, "the script is never deleted"
+        receipt = get_one(f"fleet/node/{self.node}/job", json.dumps(job), JSON)
+        error = self.finished(receipt["job"], "failed")["error"]
+        self.assertIn("no script 'double' is stored", error["message"])
+
     def test_postcard_is_read(self):
         job = fresh()
         payload = (
