@@ -59,8 +59,8 @@ struct sf_function {
 struct sf_state {
   void *host;
   lua_State *main;
-  long slice_left;
-  unsigned long used;
+  long long slice_left;
+  unsigned long long used;
   size_t work;
   size_t work_max;
   int killed;
@@ -89,7 +89,7 @@ static void hook(lua_State *L, lua_Debug *ar) {
   struct sf_state *state = state_of(L);
   int count = lua_gethookcount(L);
   (void)ar;
-  state->used += (unsigned long)count;
+  state->used += (unsigned long long)count;
   state->slice_left -= count;
   if (may_yield(L, state)) {
     state->work = 0;
@@ -118,7 +118,7 @@ void sf_charge(lua_State *L, size_t work) {
   if (state == NULL)
     return;
   state->work += work;
-  state->slice_left -= (long)(work / 4);
+  state->slice_left -= (long long)(work / 4);
   state->used += work / 4;
   if (state->work > state->work_max) {
     if (may_yield(L, state))
@@ -634,7 +634,7 @@ int sf_compile(struct sf_state *state, const char *text, size_t length, const ch
 }
 
 /* Goes on for about so many instructions. */
-int sf_step(struct sf_state *state, lua_State *L, long slice, int *results) {
+int sf_step(struct sf_state *state, lua_State *L, long long slice, int *results) {
   state->preempt = 0;
   state->slice_left = slice;
   state->work = 0;

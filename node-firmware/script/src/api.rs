@@ -288,7 +288,7 @@ impl Turn<'_> {
         match WHAT[call.function] {
             Do::QueueMove => {
                 let axis = self.axis(&args)?;
-                let delay_us = args.from_one(1, "delay_us")?;
+                let delay_us = args.positive(1, "delay_us")?;
                 let steps = args.steps(2, "steps")?;
                 self.queue(Command::Move {
                     axis,
@@ -297,7 +297,7 @@ impl Turn<'_> {
                 })
             }
             Do::QueueSyncMove => {
-                let delay_us = [args.from_one(0, "delay1")?, args.from_one(2, "delay2")?];
+                let delay_us = [args.positive(0, "delay1")?, args.positive(2, "delay2")?];
                 let steps = [args.steps(1, "steps1")?, args.steps(3, "steps2")?];
                 self.queue(Command::SyncMove { delay_us, steps })
             }
@@ -328,11 +328,11 @@ impl Turn<'_> {
                         *to = args.any(index, "steps")? as i32;
                     }
                 }
-                let speed_hz = args.from_one(4, "speed_hz")?;
-                let accel_hz_per_s = args.from_one(5, "accel")?;
+                let speed_hz = args.positive(4, "speed_hz")?;
+                let accel_hz_per_s = args.positive(5, "accel")?;
                 let jerk_hz_per_s2 = match call.args[6] {
                     Value::Nil => 0,
-                    _ => args.from_one(6, "jerk")?,
+                    _ => args.positive(6, "jerk")?,
                 };
                 self.queue(Command::Line {
                     steps,
@@ -604,7 +604,7 @@ impl<'a> Args<'a> {
         self.whole(index, name, -i64::from(i32::MAX), i32::MAX.into())
     }
 
-    fn from_one(&self, index: usize, name: &str) -> Result<u32, Wrong> {
+    fn positive(&self, index: usize, name: &str) -> Result<u32, Wrong> {
         Ok(self.whole(index, name, 1, i32::MAX.into())? as u32)
     }
 
@@ -637,8 +637,8 @@ impl<'a> Args<'a> {
 
     /// Reads speed, acceleration and the options of a ramp, which are its last five values.
     fn ramp(&self) -> Result<Ramp, Wrong> {
-        let speed_hz = self.from_one(2, "speed_hz")?;
-        let accel_hz_per_s = self.from_one(3, "accel")?;
+        let speed_hz = self.positive(2, "speed_hz")?;
+        let accel_hz_per_s = self.positive(3, "accel")?;
         let short = |index: usize, name: &str| match self.0[index] {
             Value::Nil => Ok(0),
             _ => Ok::<u16, Wrong>(self.whole(index, name, 0, u16::MAX.into())? as u16),
@@ -654,7 +654,7 @@ impl<'a> Args<'a> {
                 return Err("options.jerk: not together with linear_steps or jump_steps".into());
             }
             _ => RampShape::Jerk {
-                jerk_hz_per_s2: self.from_one(4, "options.jerk")?,
+                jerk_hz_per_s2: self.positive(4, "options.jerk")?,
             },
         };
         Ok(Ramp {

@@ -13,7 +13,7 @@ use crate::json::{Json, JsonError};
 use alloc::{boxed::Box, ffi::CString, string::String, vec::Vec};
 use core::{
     alloc::Layout,
-    ffi::{CStr, c_char, c_int, c_long, c_longlong, c_uint, c_ulong, c_void},
+    ffi::{CStr, c_char, c_int, c_longlong, c_uint, c_void},
     ptr::{self, NonNull},
     slice,
 };
@@ -145,8 +145,8 @@ struct RawReply {
 struct State {
     host: *mut c_void,
     main: *mut LuaState,
-    slice_left: c_long,
-    used: c_ulong,
+    slice_left: i64,
+    used: u64,
     work: usize,
     work_max: usize,
     killed: c_int,
@@ -184,7 +184,7 @@ unsafe extern "C" {
         length: usize,
         chunk: *const c_char,
     ) -> c_int;
-    fn sf_step(state: *mut State, lua: *mut LuaState, slice: c_long, results: *mut c_int) -> c_int;
+    fn sf_step(state: *mut State, lua: *mut LuaState, slice: i64, results: *mut c_int) -> c_int;
     fn sf_traceback(lua: *mut LuaState, message: *const c_char) -> c_int;
     fn lua_close(lua: *mut LuaState);
     fn lua_gettop(lua: *mut LuaState) -> c_int;
@@ -320,7 +320,7 @@ impl Sandbox {
         let state = NonNull::from(Box::leak(Box::new(State {
             host: ptr::null_mut(),
             main: ptr::null_mut(),
-            slice_left: c_long::MAX,
+            slice_left: i64::MAX,
             used: 0,
             work: 0,
             work_max,
@@ -384,7 +384,7 @@ impl Sandbox {
         // between.
         let status = unsafe {
             (*self.state.as_ptr()).host = (&raw mut frame).cast();
-            let slice = c_long::try_from(instructions).unwrap_or(c_long::MAX);
+            let slice = i64::from(instructions);
             let status = sf_step(self.state.as_ptr(), self.lua, slice, &raw mut results);
             (*self.state.as_ptr()).host = ptr::null_mut();
             status
@@ -422,7 +422,7 @@ impl Sandbox {
     /// Returns how many instructions the script has run since [`Sandbox::forgive`].
     pub(crate) fn used_instructions(&self) -> u64 {
         // SAFETY: ours, and C is not running.
-        unsafe { (*self.state.as_ptr()).used as u64 }
+        unsafe { (*self.state.as_ptr()).used }
     }
 
     /// Counts instructions from 0 again.
@@ -696,7 +696,7 @@ unsafe extern "C" fn sf_host_call(
         again: again != 0,
         json,
     });
-    state.slice_left -= c_long::from(i32::try_from(calls.take_cost()).unwrap_or(i32::MAX));
+    state.slice_left -= i64::from(calls.take_cost());
     if calls.is_ended() {
         state.killed = 1;
     }

@@ -295,7 +295,7 @@ fn print_makes_one_line_of_its_values() {
 #[test]
 fn stored_scripts_are_called_by_name_with_arguments() {
     let mut bench = Bench::default();
-    bench.stored = vec![
+    bench.stored.extend([
         (
             "double".into(),
             "local args = ... return args.x * 2, args".into(),
@@ -306,7 +306,7 @@ fn stored_scripts_are_called_by_name_with_arguments() {
             "waits".into(),
             "sleep(3) motor.queue_pause(1) wait_idle() return 'done'".into(),
         ),
-    ];
+    ]);
     assert_eq!(
         bench.returned("return (node.call('double', {x = 21}))"),
         "42"
