@@ -529,7 +529,7 @@ fn an_operator_plays_stops_releases_and_cancels_on_emulated_nodes() {
 
 #[cfg(feature = "demo")]
 #[test]
-fn the_demo_plays_five_jobs_and_one_together_and_accounts_for_every_pulse() {
+fn the_demo_plays_six_jobs_and_one_together_and_accounts_for_every_pulse() {
     let ran = fleet(&[&["demo", "--json"][..], &PATIENT].concat());
     assert_eq!(ran.code, Some(0), "{}\n{}", ran.out, ran.err);
     let mut lines: Vec<serde_json::Value> = ran
@@ -537,11 +537,11 @@ fn the_demo_plays_five_jobs_and_one_together_and_accounts_for_every_pulse() {
         .lines()
         .map(|line| serde_json::from_str(line).expect("JSON"))
         .collect();
-    assert_eq!(lines.len(), 6);
-    let together = lines.pop().expect("six");
+    assert_eq!(lines.len(), 7);
+    let together = lines.pop().expect("seven");
     assert_eq!(together["state"], "succeeded", "{together}");
     let started = together["start"]["by_node_us"].as_object();
-    assert_eq!(started.map(serde_json::Map::len), Some(5), "{together}");
+    assert_eq!(started.map(serde_json::Map::len), Some(6), "{together}");
     for line in lines {
         assert_eq!(line["good"], true, "{line}");
         assert_eq!(line["state"], "succeeded", "{line}");

@@ -17,7 +17,7 @@
 //! ```
 
 use crate::{
-    Command, JobId, StopMode,
+    Command, JobId, ScriptHeader, StopMode,
     status::DecodeError,
     version::{self, EncodeError},
 };
@@ -56,6 +56,15 @@ pub enum Order {
     Release {
         /// The queue that began with the stop. A release that is older than a stop lifts nothing.
         queue: QueueId,
+    },
+    /// A part of a script follows.
+    Script(ScriptHeader),
+    /// The report of a script has arrived: it need not be said again.
+    ScriptSeen {
+        /// The queue that the script was in.
+        queue: QueueId,
+        /// The script's number in it.
+        first_command: u64,
     },
 }
 
@@ -164,8 +173,15 @@ impl<'b> BatchReader<'b> {
         let (order, rest) = version::decode_some::<Order>(bytes)?;
         let commands_left = match order {
             Order::Batch(header) => header.command_count,
-            Order::Cancel { .. } | Order::Release { .. } if rest.is_empty() => 0,
-            Order::Cancel { .. } | Order::Release { .. } => return Err(DecodeError::Trailing),
+            Order::Script(_) => 0,
+            Order::Cancel { .. } | Order::Release { .. } | Order::ScriptSeen { .. }
+                if rest.is_empty() =>
+            {
+                0
+            }
+            Order::Cancel { .. } | Order::Release { .. } | Order::ScriptSeen { .. } => {
+                return Err(DecodeError::Trailing);
+            }
         };
         Ok(Self {
             order,
@@ -177,6 +193,11 @@ impl<'b> BatchReader<'b> {
     /// Returns the order.
     pub const fn order(&self) -> &Order {
         &self.order
+    }
+
+    /// Returns the bytes behind the order: of an [`Order::Script`] a part of the text.
+    pub const fn rest(&self) -> &'b [u8] {
+        self.rest
     }
 
     /// Returns the next command, `None` after the last one.
@@ -253,4 +274,6 @@ pub enum Refusal {
         /// Index in the batch, from 0.
         index: u16,
     },
+    /// A script is running, and the queue is its own until it ends.
+    ScriptRuns,
 }

@@ -7,6 +7,7 @@ use crate::{
     AxisId, Command, JobId, NodeId,
     command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
     record::{ErrorCode, JobError},
+    script::SCRIPT_BYTES_MAX,
 };
 use core::{fmt, marker::PhantomData};
 use serde::{Deserialize, Deserializer, Serialize, de};
@@ -324,6 +325,10 @@ struct RawJob {
     #[serde(default)]
     lua: Option<String>,
     #[serde(default)]
+    call: Option<String>,
+    #[serde(default)]
+    args: Option<serde_json::Value>,
+    #[serde(default)]
     offline: Option<Offline>,
     #[serde(default)]
     timeout_s: Option<f64>,
@@ -354,6 +359,10 @@ struct RawPart {
     commands: Option<Vec<JobCommand>>,
     #[serde(default)]
     lua: Option<String>,
+    #[serde(default)]
+    call: Option<String>,
+    #[serde(default)]
+    args: Option<serde_json::Value>,
 }
 
 /// Parts by the name of their node, in the order of the text: a name that comes twice must not
@@ -410,7 +419,8 @@ impl JobRequest {
             return Err(too_large_bytes(payload.len()));
         }
         let raw: RawJob = read_object(payload)?;
-        let work = Work::from_either(raw.commands, raw.lua, "job")?;
+        let script = script_of(raw.lua, raw.call, raw.args)?;
+        let work = Work::from_either(raw.commands, script, "job")?;
         let request = Self {
             id: read_id(raw.id)?,
             work,
@@ -462,8 +472,16 @@ impl Work {
     }
 
     fn check(&self) -> Result<(), JobError> {
-        let Self::Commands(commands) = self else {
-            return Ok(());
+        let commands = match self {
+            Self::Commands(commands) => commands,
+            Self::Lua(script) if script.len() > SCRIPT_BYTES_MAX => {
+                let message = format!(
+                    "lua: {} bytes; a script has at most {SCRIPT_BYTES_MAX}",
+                    script.len()
+                );
+                return Err(JobError::new(ErrorCode::TooLarge, message));
+            }
+            Self::Lua(_) => return Ok(()),
         };
         if commands.is_empty() {
             return Err(JobError::new(
@@ -516,7 +534,8 @@ impl GroupRequest {
                 JobError::new(ErrorCode::BadJson, format!("nodes.{name}: {words}"))
             };
             let node = NodeId::new(&name).map_err(|error| bad(&error))?;
-            let work = Work::from_either(part.commands, part.lua, "part")
+            let work = script_of(part.lua, part.call, part.args)
+                .and_then(|script| Work::from_either(part.commands, script, "part"))
                 .map_err(|error| bad(&error.message))?;
             if nodes.insert(node, work).is_some() {
                 return Err(bad(&"there is a part for this node already"));
@@ -645,6 +664,74 @@ impl GroupRequest {
         }
         numbers
     }
+}
+
+/// Returns the script of a job: its own, or one that calls a stored one.
+fn script_of(
+    lua: Option<String>,
+    call: Option<String>,
+    args: Option<serde_json::Value>,
+) -> Result<Option<String>, JobError> {
+    let refuse = |message: String| Err(JobError::new(ErrorCode::BadJson, message));
+    match (lua, call, args) {
+        (lua, None, None) => Ok(lua),
+        (_, None, Some(_)) => refuse("args: only a `call` has arguments".into()),
+        (Some(_), Some(_), _) => refuse("either `lua` or `call`, not both".into()),
+        (None, Some(name), args) => {
+            if let Err(error) = NodeId::new(&name) {
+                return refuse(format!("call: {error}"));
+            }
+            let mut text = format!("return node.call(\"{name}\", ");
+            write_lua(&args.unwrap_or_default(), &mut text);
+            text.push(')');
+            Ok(Some(text))
+        }
+    }
+}
+
+/// Writes a JSON value as Lua says it.
+fn write_lua(value: &serde_json::Value, to: &mut String) {
+    use serde_json::Value;
+    match value {
+        Value::Null => to.push_str("nil"),
+        Value::Bool(value) => to.push_str(if *value { "true" } else { "false" }),
+        Value::Number(number) => match number.as_i64() {
+            Some(whole) if i32::try_from(whole).is_ok() => to.push_str(&format!("{whole}")),
+            _ => to.push_str(&format!("{:e}", number.as_f64().unwrap_or(0.0))),
+        },
+        Value::String(text) => write_lua_text(text, to),
+        Value::Array(items) => {
+            to.push('{');
+            for item in items {
+                write_lua(item, to);
+                to.push(',');
+            }
+            to.push('}');
+        }
+        Value::Object(fields) => {
+            to.push('{');
+            for (name, value) in fields {
+                to.push('[');
+                write_lua_text(name, to);
+                to.push_str("]=");
+                write_lua(value, to);
+                to.push(',');
+            }
+            to.push('}');
+        }
+    }
+}
+
+fn write_lua_text(text: &str, to: &mut String) {
+    to.push('"');
+    for letter in text.chars() {
+        match letter {
+            '"' | '\\' => to.extend(['\\', letter]),
+            letter if letter.is_ascii_control() => to.push_str(&format!("\\{:03}", letter as u8)),
+            letter => to.push(letter),
+        }
+    }
+    to.push('"');
 }
 
 /// Reads an object of one of ours, and nothing behind it.

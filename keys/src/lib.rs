@@ -29,6 +29,7 @@ pub mod job;
 pub mod key;
 #[cfg(feature = "json")]
 pub mod record;
+pub mod script;
 pub mod start;
 pub mod status;
 pub mod stop;
@@ -40,6 +41,7 @@ pub use batch::{BatchAck, BatchHeader, BatchReader, Order, QueueId, Refusal, Ver
 pub use command::{Command, Features};
 pub use ids::{AxisId, GroupId, JobId, NodeId};
 pub use key::{Keys, Topic};
+pub use script::{ScriptHeader, ScriptOutcome, ScriptReport};
 pub use status::{AxisStatus, Fault, NodeState, Status};
 pub use stop::{Stop, StopMode, StopReason, StopReport};
 pub use topics::NodeTopic;

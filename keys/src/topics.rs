@@ -12,6 +12,8 @@
 //! | `ack` | [`BatchAck`](crate::BatchAck) | node → gateway | data-high | block |
 //! | `clock` | [`ClockMessage`](crate::clock::ClockMessage) | both | real-time | drop |
 //! | `start` | [`StartMessage`](crate::start::StartMessage) | both | real-time | block |
+//! | `report` | [`ScriptReport`](crate::ScriptReport) | node → gateway | data-high | block; said again until it is seen |
+//! | `data` | JSON, on `data/SUFFIX`: what a script publishes | node → client | data | drop |
 //! | `alive` | none | node → all, liveliness token | – | – |
 
 /// What is said below one node's key.
@@ -39,11 +41,15 @@ pub enum NodeTopic {
     Start,
     /// The liveliness token.
     Alive,
+    /// How a script ended.
+    Report,
+    /// What a script publishes.
+    Data,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -55,6 +61,8 @@ impl NodeTopic {
         Self::Clock,
         Self::Start,
         Self::Alive,
+        Self::Report,
+        Self::Data,
     ];
 
     /// Returns the last chunk of the key.
@@ -71,6 +79,8 @@ impl NodeTopic {
             Self::Clock => "clock",
             Self::Start => "start",
             Self::Alive => "alive",
+            Self::Report => "report",
+            Self::Data => "data",
         }
     }
 

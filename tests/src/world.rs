@@ -185,6 +185,15 @@ impl World {
         &self.machines[&NodeId::new(name).expect("legal")].node
     }
 
+    /// Changes something on a node, as a person in front of it could.
+    ///
+    /// # Panics
+    /// There is none of this name.
+    pub fn node_mut(&mut self, name: &str, change: impl FnOnce(&mut EmulatedNode)) {
+        let id = NodeId::new(name).expect("legal");
+        change(&mut self.machines.get_mut(&id).expect("a node").node);
+    }
+
     /// Returns when the active edge of this number since boot left a node, in real time, µs; `None`
     /// if it has not. Real time is what no node and no gateway knows: only the world does. The
     /// node's clock must not have wandered since.
@@ -534,7 +543,11 @@ impl World {
         for outbound in machine.node.outbox(local) {
             let of_gateway = matches!(
                 outbound.topic,
-                NodeTopic::Status | NodeTopic::Ack | NodeTopic::Clock | NodeTopic::Start
+                NodeTopic::Status
+                    | NodeTopic::Ack
+                    | NodeTopic::Clock
+                    | NodeTopic::Start
+                    | NodeTopic::Report
             );
             // Into a broken link a node can speak until it notices.
             if wired && of_gateway {

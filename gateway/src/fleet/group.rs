@@ -20,7 +20,7 @@ use super::{
     Fleet,
     event::{Effect, Lane, ReplyTo},
     start::{Edge, Limits, Start, Step},
-    submit::check_script,
+    submit::{check_script, script_of},
 };
 use crate::job::{Ending, Job, JobEntry, group::joined, new_record};
 use keys::{
@@ -94,7 +94,12 @@ pub(super) fn parts_of(request: &GroupRequest) -> BTreeMap<NodeId, Arc<[Command]
 }
 
 /// Makes a part of a job, without a barrier in its count.
-pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>) -> Job {
+pub(super) fn new_part(
+    whole: &JobEntry,
+    node: NodeId,
+    commands: Arc<[Command]>,
+    script: Option<Arc<str>>,
+) -> Job {
     let total = (commands.len() as u64).saturating_sub(1);
     let created = whole.record.created;
     let mut record = new_record(
@@ -108,7 +113,7 @@ pub(super) fn new_part(whole: &JobEntry, node: NodeId, commands: Arc<[Command]>)
     record.updated = whole.record.updated;
     let mut part = Job::new(JobEntry::new(record, whole.sequence), commands);
     part.head_commands = 1;
-    part
+    part.with_script(script)
 }
 
 impl Fleet {
@@ -185,7 +190,8 @@ impl Fleet {
         entry.group = Some(Box::default());
         let mut job = Job::new(entry, Arc::new([]));
         for (node, commands) in parts {
-            let part = new_part(&job.entry, node, commands);
+            let script = request.nodes.get(&node).and_then(script_of);
+            let part = new_part(&job.entry, node, commands, script);
             job.parts.insert(node, part);
         }
         job.measuring = true;

@@ -36,7 +36,7 @@ use crate::job::{Ending, Job, book::Book};
 use event::{Effect, Event, ReplyTo};
 use group::Group;
 use keys::{
-    BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, Status, StopMode,
+    BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, ScriptReport, Status, StopMode,
     clock::ClockMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
     start::StartMessage,
@@ -284,6 +284,14 @@ impl Fleet {
                     });
                 }
                 Ok(ClockMessage::Probe(_)) => {}
+                Err(_) => self.ignored_count += 1,
+            },
+            NodeTopic::Report => match ScriptReport::decode(payload) {
+                Ok((report, text)) => {
+                    self.with_node(id, effects, |node, turn| {
+                        node.handle_report(&report, text, turn);
+                    });
+                }
                 Err(_) => self.ignored_count += 1,
             },
             NodeTopic::Start => match version::decode::<StartMessage>(payload) {

@@ -10,7 +10,7 @@ use super::{
     event::{Effect, Table, Write},
     group::{Group, new_part, parts_of},
     node::{Facts, Node},
-    submit::commands_of,
+    submit::{commands_of, script_of},
 };
 use crate::job::{Job, JobEntry};
 use keys::{
@@ -140,7 +140,8 @@ impl Fleet {
         })?;
         let request = keys::version::decode::<JobRequest>(&bytes).map_err(bad_request)?;
         let commands = commands_of(&request);
-        if commands.len() as u64 != entry.record.progress.total {
+        let script = script_of(&request.work);
+        if script.is_none() && commands.len() as u64 != entry.record.progress.total {
             return Err(RestoreError::Request {
                 job: name(),
                 why: format!(
@@ -150,7 +151,7 @@ impl Fleet {
                 ),
             });
         }
-        let job = Job::new(entry, commands);
+        let job = Job::new(entry, commands).with_script(script);
         self.restore_on(node, &job, now)?;
         self.book.restore(job);
         Ok(())
@@ -197,16 +198,19 @@ impl Fleet {
                     why: format!("its entry lacks the part of node {node}"),
                 });
             };
-            let mut part = new_part(&job.entry, node, commands);
+            let script = request.nodes.get(&node).and_then(script_of);
+            let mut part = new_part(&job.entry, node, commands, script);
             part.passed = stored.passed;
             part.entry.activation = stored.activation;
             part.entry.ending = stored.ending;
+            part.entry.script_end = stored.script_end;
             part.entry.record.state = record.state;
             part.entry.record.progress = record.progress;
             part.entry.record.error = record.error;
             part.entry.record.result = record.result;
             if record.state.is_final() {
                 part.commands = Arc::new([]);
+                part.script = None;
             } else {
                 self.restore_on(node, &part, now)?;
             }

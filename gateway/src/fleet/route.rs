@@ -15,10 +15,11 @@
 //! not be remembered over a restart.
 
 use keys::{
-    BatchHeader, Command, FleetMicros, JobId, QueueId, Refusal,
+    BatchHeader, Command, FleetMicros, JobId, Order, QueueId, Refusal, ScriptHeader,
     batch::{BatchWriter, ORDER_BYTES_MAX},
+    script::PART_BYTES_MAX,
 };
-use std::collections::VecDeque;
+use std::{collections::VecDeque, sync::Arc};
 
 /// Shortest wait for an answer before a batch is sent again, µs.
 pub const RETRY_US_MIN: u64 = 200_000;
@@ -81,6 +82,8 @@ pub struct Route {
     retry_shift: u32,
     malformed_count: u32,
     round_trip: RoundTrip,
+    /// Takes the last number of all.
+    script: Option<Arc<str>>,
 }
 
 /// What a refusal means for the job.
@@ -127,6 +130,24 @@ impl Route {
             retry_shift: 0,
             malformed_count: 0,
             round_trip,
+            script: None,
+        }
+    }
+
+    /// Sends a script behind the commands; `end` counts it.
+    #[must_use]
+    pub fn with_script(mut self, script: Option<Arc<str>>) -> Self {
+        self.script = script;
+        self
+    }
+
+    /// The node has answered a part of something: it is not lost, only long.
+    pub fn handle_part(&mut self, now: FleetMicros) {
+        if self.script.is_some()
+            && let Some(oldest) = self.flights.front_mut()
+        {
+            oldest.sent_at = now;
+            oldest.again = true;
         }
     }
 
@@ -178,7 +199,7 @@ impl Route {
                 }
                 Setback::None
             }
-            Refusal::QueueShort | Refusal::Stale | Refusal::Stopped => {
+            Refusal::QueueShort | Refusal::Stale | Refusal::Stopped | Refusal::ScriptRuns => {
                 // The next status tells more; until then the node has nothing to gain from us.
                 self.hold(now);
                 Setback::None
@@ -230,9 +251,23 @@ impl Route {
         let limit = limit.min(self.end);
         while self.flights.len() < self.window_batches && self.next < limit {
             let first = self.next;
+            if let Some(script) = &self.script
+                && first + 1 == self.end
+            {
+                self.send_script(script, first, &mut send);
+                self.next = self.end;
+                self.flights.push_back(Flight {
+                    end: self.next,
+                    sent_at: now,
+                    again: first < self.sent_max,
+                });
+                self.sent_max = self.sent_max.max(self.next);
+                return;
+            }
             let mut writer = BatchWriter::new();
             let from = usize::try_from(first - self.base).unwrap_or(usize::MAX);
             let to = usize::try_from(limit - self.base).unwrap_or(usize::MAX);
+            let to = to.min(commands.len());
             for command in commands.get(from..to).unwrap_or_default() {
                 if !writer.push(command) {
                     break;
@@ -261,6 +296,28 @@ impl Route {
                 again: first < self.sent_max,
             });
             self.sent_max = self.sent_max.max(self.next);
+        }
+    }
+
+    fn send_script(&self, script: &str, first: u64, send: &mut impl FnMut(&[u8])) {
+        // A node wants at least one part.
+        let text = if script.is_empty() { " " } else { script };
+        let mut offset_bytes = 0;
+        for part in text.as_bytes().chunks(PART_BYTES_MAX) {
+            let order = Order::Script(ScriptHeader {
+                queue: self.queue,
+                first_command: first,
+                job: self.job,
+                offset_bytes,
+                total_bytes: text.len() as u32,
+            });
+            let mut buffer = [0; ORDER_BYTES_MAX];
+            let used = keys::version::encode(&order, &mut buffer)
+                .expect("a header has at most 80 bytes")
+                .len();
+            buffer[used..used + part.len()].copy_from_slice(part);
+            send(&buffer[..used + part.len()]);
+            offset_bytes += part.len() as u32;
         }
     }
 
@@ -293,7 +350,7 @@ impl Route {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use keys::{AxisId, BatchReader, Order};
+    use keys::{AxisId, BatchReader};
 
     const QUEUE: QueueId = QueueId { boot: 7, flush: 1 };
     const BASE: u64 = 100;

@@ -26,7 +26,7 @@ use std::{collections::BTreeMap, sync::Arc};
 struct Prepared {
     id: Option<JobId>,
     commands: Arc<[Command]>,
-    script: bool,
+    script: Option<Arc<str>>,
     stored: Vec<u8>,
     offline: Offline,
     timeout_us: Option<u64>,
@@ -133,7 +133,7 @@ impl Fleet {
         effects: &mut Vec<Effect>,
     ) -> Result<JobId, JobError> {
         let view = &self.nodes[&node];
-        if prepared.script {
+        if prepared.script.is_some() {
             check_script(view.facts().features)?;
         }
         view.check(&prepared.commands, false)?;
@@ -163,7 +163,7 @@ impl Fleet {
         record.version += self.version_of_rejected(&id);
         let mut entry = JobEntry::new(record, self.book.take_sequence());
         entry.timeout_us = prepared.timeout_us;
-        let job = Job::new(entry, prepared.commands.clone());
+        let job = Job::new(entry, prepared.commands.clone()).with_script(prepared.script.clone());
         self.book
             .insert(job, Some(prepared.stored.clone()), effects);
         Ok(id)
@@ -292,7 +292,7 @@ fn prepare(request: &JobRequest) -> Prepared {
     Prepared {
         id: request.id,
         commands: commands_of(request),
-        script: matches!(request.work, Work::Lua(_)),
+        script: script_of(&request.work),
         stored: stored_request(request),
         offline: request.offline,
         // Far beyond any job, and far from the end of the numbers.
@@ -320,13 +320,20 @@ fn stored_request(request: &JobRequest) -> Vec<u8> {
     bytes
 }
 
-/// Scripts are run by nodes, and no order carries one yet.
+/// Returns the script of a job, if it has one.
+pub(super) fn script_of(work: &Work) -> Option<Arc<str>> {
+    match work {
+        Work::Commands(_) => None,
+        Work::Lua(script) => Some(script.as_str().into()),
+    }
+}
+
+/// Scripts are run by nodes, by those that can.
 pub(super) fn check_script(features: Features) -> Result<(), JobError> {
-    let message = if features.has(Features::LUA) {
-        "lua: this gateway cannot send scripts to nodes"
-    } else {
-        "lua: not supported by this node's firmware"
-    };
+    if features.has(Features::LUA) {
+        return Ok(());
+    }
+    let message = "lua: not supported by this node's firmware";
     Err(JobError::new(ErrorCode::BadCommand, message))
 }
 

@@ -20,7 +20,7 @@
 //! a part is one version of it, and one write. Absent on purpose: what makes a part end because
 //! another one did, and the start. Those are the fleet's.
 
-use super::{Activation, Change, Ending, Job, is_legal};
+use super::{Activation, Change, Ending, Job, ScriptEnd, is_legal};
 use keys::{
     FleetMicros, NodeId,
     record::{ErrorCode, JobError, JobState, PartRecord, Progress},
@@ -49,6 +49,9 @@ pub struct PartEntry {
     pub ending: Option<Ending>,
     /// Whether its node has passed the start.
     pub passed: Passed,
+    /// How its script has ended.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub script_end: Option<ScriptEnd>,
 }
 
 /// Whether a node has passed the barrier of a start, as far as is known.
@@ -102,6 +105,7 @@ impl Job {
                     activation: part.entry.activation,
                     ending: part.entry.ending.clone(),
                     passed: part.passed,
+                    script_end: part.entry.script_end.clone(),
                 },
             );
         }

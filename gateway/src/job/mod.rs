@@ -83,6 +83,18 @@ pub struct JobEntry {
     /// What else is stored of a synchronized job that is not final.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<Box<GroupEntry>>,
+    /// How its script has ended, once the node has said so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub script_end: Option<ScriptEnd>,
+}
+
+/// A script has returned; the commands that it queued may still be executed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScriptEnd {
+    /// The number behind its last command in the node's queue.
+    pub end: u64,
+    /// What it returned.
+    pub returned: Option<serde_json::Value>,
 }
 
 impl JobEntry {
@@ -95,6 +107,7 @@ impl JobEntry {
             ending: None,
             timeout_us: None,
             group: None,
+            script_end: None,
         }
     }
 }
@@ -106,7 +119,10 @@ pub struct Job {
     pub entry: JobEntry,
     /// Its commands, empty when it is final.
     pub commands: Arc<[Command]>,
-    /// How many of them come before the client's own: one in a part, the barrier of its start.
+    /// Its script, if it has one and is not final.
+    pub script: Option<Arc<str>>,
+    /// How many commands come before the client's own: in a part the barrier of its start, and with
+    /// a script the number that the script itself takes.
     pub head_commands: u64,
     /// When its progress was published last.
     pub progress_told_at: FleetMicros,
@@ -142,6 +158,7 @@ impl Job {
             progress_told_at: entry.record.updated,
             entry,
             commands,
+            script: None,
             head_commands: 0,
             parts: BTreeMap::new(),
             passed: Passed::No,
@@ -165,10 +182,43 @@ impl Job {
         self.entry.record.state
     }
 
-    /// Returns the number after its last command in its node's queue.
+    /// Gives it a script, for which it has no commands of its own.
+    #[must_use]
+    pub fn with_script(mut self, script: Option<Arc<str>>) -> Self {
+        if script.is_some() {
+            self.script = script;
+            self.head_commands += 1;
+        }
+        self
+    }
+
+    /// Returns the number behind everything that the gateway sends of it.
     pub fn end(&self) -> Option<u64> {
         let activation = self.entry.activation?;
-        Some(activation.base + self.head_commands + self.entry.record.progress.total)
+        let sent = self.commands.len() as u64 + u64::from(self.script.is_some());
+        Some(activation.base + sent)
+    }
+
+    /// Returns whether all its commands have ended when the queue has executed so many. A script
+    /// may queue more until it has ended.
+    pub fn is_done(&self, executed_commands: u64) -> bool {
+        match (&self.script, &self.entry.script_end) {
+            (Some(_), None) => false,
+            (Some(_), Some(script_end)) => executed_commands >= script_end.end,
+            (None, _) => self.done_of(executed_commands) >= self.entry.record.progress.total,
+        }
+    }
+
+    /// A script has queued so many commands that its queue has accepted so many.
+    pub fn note_accepted(&mut self, accepted_commands: u64) {
+        let Some(activation) = self.entry.activation else {
+            return;
+        };
+        if self.script.is_some() && self.entry.script_end.is_none() {
+            let own = accepted_commands.saturating_sub(activation.base + self.head_commands);
+            let progress = &mut self.entry.record.progress;
+            progress.total = progress.total.max(own);
+        }
     }
 
     /// Returns when it must be stopped, if it has a limit and runs.
@@ -213,7 +263,9 @@ impl Job {
             record.error = change.error;
             record.result = change.result;
             self.commands = Arc::new([]);
+            self.script = None;
             self.entry.ending = None;
+            self.entry.script_end = None;
         }
     }
 }
@@ -263,6 +315,15 @@ impl Change {
             position: position.into_iter().collect(),
             returned: None,
         });
+        self
+    }
+
+    /// Tells also what its script returned.
+    #[must_use]
+    pub fn returned(mut self, script_end: Option<ScriptEnd>) -> Self {
+        if let Some(result) = &mut self.result {
+            result.returned = script_end.and_then(|script_end| script_end.returned);
+        }
         self
     }
 }

@@ -454,6 +454,10 @@ impl FakeNode {
                 self.tell(now_us);
                 return Verdict::Accepted;
             }
+            // A node without Lua.
+            Order::Script(_) | Order::ScriptSeen { .. } => {
+                return Verdict::Refused(Refusal::Malformed);
+            }
         };
         if header.queue != self.queue {
             return Verdict::Refused(Refusal::Stale);

@@ -64,6 +64,10 @@ pub struct EmulatorConfig {
     pub seed: u64,
     /// What is kept for the oracle; nothing by default.
     pub record: Recording,
+    /// What a script may take.
+    pub script: script::Limits,
+    /// Whether the stored script `boot` runs when the node starts.
+    pub boot_script: bool,
     /// Router to connect to, `tcp/HOST:PORT`; on this machine by default. Wall clock only.
     pub connect: String,
     /// What the node's clock shows when it boots, µs; 0 by default. Wall clock only.
@@ -89,6 +93,8 @@ impl EmulatorConfig {
             rmt: RmtConfig::default(),
             seed: 0,
             record: Recording::default(),
+            script: script::Limits::default(),
+            boot_script: false,
             connect: "tcp/127.0.0.1:7447".to_owned(),
             clock_offset_us: 0,
             clock_drift_ppb: 0,

@@ -14,13 +14,14 @@ use crate::{
     vcd::VcdWriter,
 };
 use keys::{
-    AxisId, BatchReader, LocalMicros, NodeId, NodeTopic, Order, Status, command::COMMAND_WORDS,
+    AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
+    command::COMMAND_WORDS,
 };
 use motion::{
     MotionConfig, StepBackend, TICKS_PER_US, Ticks,
     io::{enable::OutputChange, input::PinLevel},
 };
-use node::{Inbound, Node, NodeConfig, Outbound, Outputs};
+use node::{Inbound, Node, NodeConfig, Outbound, Outputs, library::Library};
 use std::{
     io::{self, Write},
     mem,
@@ -50,6 +51,8 @@ pub struct Bench {
     enables: Vec<PinEvent>,
     /// What was shifted out and not yet read back.
     shifted: Option<u32>,
+    /// What a script has queued since the last look.
+    queued: Vec<TakenCommand>,
 }
 
 impl Bench {
@@ -78,6 +81,26 @@ impl Outputs for Bench {
             pin: Pin::Enable(change.output as u8),
             level: change.levels()[1],
         });
+    }
+
+    fn note_queued(
+        &mut self,
+        queue: QueueId,
+        first_command: u64,
+        commands: &[Command],
+        now: LocalMicros,
+    ) {
+        self.queued.extend(
+            commands
+                .iter()
+                .zip(first_command..)
+                .map(|(command, number)| TakenCommand {
+                    at: now,
+                    queue,
+                    number,
+                    command: *command,
+                }),
+        );
     }
 }
 
@@ -335,7 +358,11 @@ impl EmulatedNode {
         self.machine.reboot();
         self.looked_at = LocalMicros(0);
         let levels = self.machine.levels();
+        // What is stored stays, as in flash.
+        let library = mem::take(self.node.library_mut());
         self.node = boot_node(&self.memory, &self.config, levels, boot, self.boots);
+        *self.node.library_mut() = library;
+        self.node.run_boot_script(LocalMicros(0));
         self.boots += 1;
         self.lidar_due = None;
         self.shift_due = None;
@@ -483,6 +510,13 @@ impl EmulatedNode {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
+        let queued = mem::take(&mut self.node.outputs_mut().queued);
+        if let Recording::Edges { max } = self.config.record
+            && !self.cut
+        {
+            self.commands.extend(queued);
+            self.cut |= self.commands.len() > max;
+        }
         if let Some(word) = self.node.outputs_mut().shifted.take() {
             self.shift_due = Some((now.plus_us(SHIFT_US), word));
         }
@@ -584,6 +618,14 @@ impl node::run::Host for EmulatedNode {
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
         Self::poll_outbox(self, now)
     }
+
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        self.node.store_script(now, name, text);
+    }
+
+    fn library(&self) -> &Library {
+        self.node.library()
+    }
 }
 
 fn boot_node(
@@ -605,6 +647,8 @@ fn boot_node(
         },
         link_loss: config.link_loss,
         link_loss_after_us: config.link_loss_after_us,
+        script: config.script,
+        boot_script: config.boot_script,
         ..NodeConfig::new(config.name, boot)
     };
     Node::new(memory.words(), backend, Bench::default(), node_config)

@@ -220,6 +220,9 @@ async fn boot(shared: Arc<Shared>, address: String) {
     };
     let config = SessionConfig {
         credentials,
+        // A PC has memory for the longest script that can be stored.
+        fragment_bytes_max: 4096 + keys::script::SCRIPT_BYTES_MAX,
+        queue_bytes: 32 * 1024 + keys::script::SCRIPT_BYTES_MAX,
         ..SessionConfig::default()
     };
     let mut session = Session::new(config, random());

@@ -56,6 +56,13 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 .unwrap_or_else(Verdict::Refused),
             Order::Cancel { queue, mode } => self.cancel(queue, mode, now),
             Order::Release { queue } => self.release(queue, now),
+            Order::Script(header) => self
+                .take_script(header, reader.rest(), now)
+                .unwrap_or_else(Verdict::Refused),
+            Order::ScriptSeen {
+                queue,
+                first_command,
+            } => self.take_script_seen(queue, first_command),
         }
     }
 
@@ -72,18 +79,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             .filter(|end| *end <= header.job_end)
             .filter(|_| (1..=BATCH_COMMANDS_MAX).contains(&count))
             .ok_or(Refusal::Malformed)?;
-        if header.queue != self.queue {
-            return Err(Refusal::Stale);
-        }
-        match self.phase {
-            Phase::Open => {}
-            // The queue is on its way out; the one after it is open.
-            Phase::Stopping {
-                reason: StopReason::Cancel,
-                ..
-            } => return Err(Refusal::Stale),
-            Phase::Stopping { .. } | Phase::Latched { .. } => return Err(Refusal::Stopped),
-        }
+        self.demand_open(header.queue)?;
         let accepted = self.motion.accepted_commands();
         if end <= accepted {
             return Ok(Verdict::Duplicate);
@@ -93,6 +89,9 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         }
         if header.first_command > accepted {
             return Err(Refusal::Gap);
+        }
+        if self.script.is_running() {
+            return Err(Refusal::ScriptRuns);
         }
         let mut check = reader.clone();
         let mut outlook = self.motion.outlook();
@@ -143,6 +142,22 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             },
         );
         Ok(Verdict::Accepted)
+    }
+
+    /// Demands that commands for this queue may come.
+    pub(crate) fn demand_open(&self, queue: QueueId) -> Result<(), Refusal> {
+        if queue != self.queue {
+            return Err(Refusal::Stale);
+        }
+        match self.phase {
+            Phase::Open => Ok(()),
+            // The queue is on its way out; the one after it is open.
+            Phase::Stopping {
+                reason: StopReason::Cancel,
+                ..
+            } => Err(Refusal::Stale),
+            Phase::Stopping { .. } | Phase::Latched { .. } => Err(Refusal::Stopped),
+        }
     }
 
     fn cancel(&mut self, queue: QueueId, mode: StopMode, now: LocalMicros) -> Verdict {
@@ -212,7 +227,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     pub(crate) fn tell_credit(&mut self, now: LocalMicros) {
         let more_to_come = self
             .job
-            .is_some_and(|job| self.motion.accepted_commands() < job.end);
+            .is_some_and(|job| self.motion.accepted_commands() < job.end)
+            && !self.script.is_running();
         let grown = self
             .motion
             .credit_commands()

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!                    ┌────────────────────────── Node ──────────────────────────┐
+//!  script ─────────▶ │ script.rs ── Lua ──▶ │                                    │
 //!  batch ──────────▶ │ intake.rs ── CommandRing ──▶ motion ──▶ StepBackend ─────│──▶ pins
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
 //!  switches ───────▶ │ inputs.rs ── limits, homing ───▶ │                       │
@@ -18,6 +19,9 @@
 //! a batch, `stop.rs` the one stop path, `run.rs` the zenoh session around it.
 #![no_std]
 
+extern crate alloc;
+
+pub mod library;
 pub mod limits;
 pub mod outbox;
 pub mod run;
@@ -27,6 +31,7 @@ mod clock;
 mod inputs;
 mod intake;
 mod report;
+mod script;
 mod start;
 mod stop;
 
@@ -34,17 +39,21 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
-    limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX},
+    library::Library,
+    limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
+    script::{Publication, Slot},
     start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
 };
+use ::script::Limits;
 use core::sync::atomic::AtomicU32;
 use keys::{
-    Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop, StopMode,
-    StopReason, StopReport,
+    Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
+    StopMode, StopReason, StopReport,
     clock::{ClockMessage, ClockReply},
+    script::REPORT_BYTES_MAX,
     status::{FAULTS_MAX, FaultCode},
     version,
 };
@@ -82,6 +91,10 @@ pub struct NodeConfig {
     pub link_loss: LinkLoss,
     /// How long the link must be gone for that, µs.
     pub link_loss_after_us: u64,
+    /// What a script may take.
+    pub script: Limits,
+    /// Whether the stored script `boot` runs when the node starts.
+    pub boot_script: bool,
 }
 
 impl NodeConfig {
@@ -95,6 +108,8 @@ impl NodeConfig {
             motion: MotionConfig::default(),
             link_loss: LinkLoss::default(),
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
+            script: Limits::default(),
+            boot_script: false,
         }
     }
 }
@@ -151,6 +166,18 @@ pub trait Outputs {
 
     /// Shifts a word into the shift register; what it shows then comes back as [`Inbound::Shift`].
     fn shift_out(&mut self, word: u32);
+
+    /// A script has put these commands into the queue, the first one as this number. Whoever
+    /// judges the pulses wants to know; a board does not.
+    fn note_queued(
+        &mut self,
+        queue: QueueId,
+        first_command: u64,
+        commands: &[Command],
+        now: LocalMicros,
+    ) {
+        let _ = (queue, first_command, commands, now);
+    }
 }
 
 /// The firmware minus hardware. See the crate for the picture.
@@ -182,6 +209,11 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     faults: heapless::Vec<Fault, FAULTS_MAX>,
     laser_percent: u8,
     lidar_mm: Option<u32>,
+    lidar_count: u32,
+    script: Slot,
+    report_due: bool,
+    publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
+    stored: Library,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     trace: Trace,
@@ -228,6 +260,11 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             faults: heapless::Vec::new(),
             laser_percent: 0,
             lidar_mm: None,
+            lidar_count: 0,
+            script: Slot::None,
+            report_due: false,
+            publications: heapless::Deque::new(),
+            stored: Library::default(),
             rssi_dbm: None,
             outbox: Outbox::new(),
             trace: Trace::new(),
@@ -291,11 +328,14 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             Inbound::Lidar { mm } => {
                 self.run_motion(now);
                 self.lidar_mm = Some(mm);
+                self.lidar_count = self.lidar_count.wrapping_add(1);
                 self.log(now, format_args!("lidar: {mm} mm"));
                 self.motion.take_lidar();
             }
             Inbound::SignalStrength { rssi_dbm } => self.rssi_dbm = rssi_dbm,
         }
+        self.run_motion(now);
+        self.run_script(now);
         self.run_motion(now);
         self.settle(now);
     }
@@ -305,6 +345,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         let now = self.advance_to(now);
         self.run_motion(now);
         self.watch_link(now);
+        self.run_script(now);
         self.run_motion(now);
         self.settle(now);
     }
@@ -321,6 +362,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.motion.poll_timeout().map(local_from_ticks),
             self.status_timeout(),
             self.start_timeout(),
+            self.script_timeout(),
             link_loss,
             line,
         ]
@@ -357,9 +399,28 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_told_at = now;
             return Some(outbound(NodeTopic::Status, &self.status()));
         }
+        if let Slot::Ended { report, text, .. } = &self.script
+            && self.report_due
+        {
+            self.report_due = false;
+            let mut buffer = [0; REPORT_BYTES_MAX];
+            return Some(Outbound {
+                topic: NodeTopic::Report,
+                suffix: heapless::String::new(),
+                payload: report.encode(text, &mut buffer).iter().copied().collect(),
+            });
+        }
+        if let Some(publication) = self.publications.pop_front() {
+            return Some(Outbound {
+                topic: NodeTopic::Data,
+                suffix: publication.suffix,
+                payload: publication.json.bytes().collect(),
+            });
+        }
         let line = self.outbox.pop_line(now)?;
         Some(Outbound {
             topic: NodeTopic::Log,
+            suffix: heapless::String::new(),
             payload: line.as_bytes().iter().copied().collect(),
         })
     }
@@ -412,6 +473,29 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Returns the outputs, for those who emulate them.
     pub fn outputs_mut(&mut self) -> &mut O {
         &mut self.outputs
+    }
+
+    /// Returns the stored scripts.
+    pub fn library(&self) -> &Library {
+        &self.stored
+    }
+
+    /// Stores a script, or removes it, and says so in the log.
+    pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        let now = self.advance_to(now);
+        match text.map(|text| self.stored.put(name, text)) {
+            None => {
+                self.stored.remove(name);
+                self.log(now, format_args!("script {name} removed"));
+            }
+            Some(Ok(())) => self.log(now, format_args!("script {name} stored")),
+            Some(Err(error)) => self.log(now, format_args!("script {name} not stored: {error}")),
+        }
+    }
+
+    /// Returns the stored scripts, to change them.
+    pub fn library_mut(&mut self) -> &mut Library {
+        &mut self.stored
     }
 
     /// Returns the last events and their counters.
@@ -533,6 +617,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         self.link_loss_settled = false;
         self.status_due = true;
+        // What was on its way when the link went may be lost.
+        if let Slot::Ended { say_at, .. } = &mut self.script {
+            *say_at = now;
+        }
     }
 
     fn take_link_down(&mut self, now: LocalMicros) {
@@ -551,6 +639,7 @@ fn outbound<M: serde::Serialize>(topic: NodeTopic, message: &M) -> Outbound {
         .expect("OUTBOUND_BYTES_MAX holds every message of a node");
     Outbound {
         topic,
+        suffix: heapless::String::new(),
         payload: used.iter().copied().collect(),
     }
 }

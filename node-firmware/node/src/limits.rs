@@ -58,7 +58,16 @@ pub const TRACE_EVENTS: usize = 64;
 /// job causes at most four such acks for each filling of the ring.
 pub const CREDIT_SHARE: usize = 4;
 
-/// Most bytes of one outbound message: a status is the longest.
-pub const OUTBOUND_BYTES_MAX: usize = keys::status::STATUS_BYTES_MAX;
+/// Time between two reports of a script that has ended, until one is answered.
+pub const REPORT_US: u64 = 500_000;
+
+/// Values that a script has published and that wait for the link.
+pub const PUBLICATIONS_MAX: usize = 8;
+
+/// Most bytes of one outbound message: the report of a script is the longest.
+pub const OUTBOUND_BYTES_MAX: usize = keys::script::REPORT_BYTES_MAX;
+
+const _: () = assert!(keys::status::STATUS_BYTES_MAX <= OUTBOUND_BYTES_MAX);
+const _: () = assert!(script::JSON_BYTES_MAX <= OUTBOUND_BYTES_MAX);
 
 const _: () = assert!(LOG_LINE_BYTES_MAX <= OUTBOUND_BYTES_MAX);

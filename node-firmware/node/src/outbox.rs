@@ -26,6 +26,8 @@ use keys::{BatchAck, LocalMicros, NodeTopic, start::StartMessage};
 pub struct Outbound {
     /// What kind of message it is, and so on which key it goes.
     pub topic: NodeTopic,
+    /// What comes behind the topic in the key; empty for most.
+    pub suffix: heapless::String<32>,
     /// Its bytes.
     pub payload: heapless::Vec<u8, OUTBOUND_BYTES_MAX>,
 }

@@ -12,7 +12,8 @@ use crate::{
 };
 use core::fmt;
 use keys::{
-    AxisId, AxisStatus, Fault, LocalMicros, NodeState, Status, StopReason, status::FaultCode,
+    AxisId, AxisStatus, Fault, Features, LocalMicros, NodeState, Status, StopReason,
+    status::FaultCode,
 };
 use motion::StepBackend;
 
@@ -24,7 +25,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             Some(_) => NodeState::Stopped,
             None if self.start != Start::Open => NodeState::Ready,
             None if self.motion.is_paused() => NodeState::Paused,
-            None if self.motion.is_active() => NodeState::Running,
+            None if self.motion.is_active() || self.script.is_running() => NodeState::Running,
             None => NodeState::Idle,
         }
     }
@@ -49,7 +50,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             credit_commands: u32::try_from(self.motion.credit_commands()).unwrap_or(u32::MAX),
             axes: axes.collect(),
             faults: self.faults.clone(),
-            features: self.motion.features(),
+            features: self.motion.features().with(Features::LUA),
             firmware: self.config.firmware,
             rssi_dbm: self.rssi_dbm,
             laser_percent: self.laser_percent,

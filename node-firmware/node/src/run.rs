@@ -10,13 +10,15 @@
 //! on the board and in the emulator. What the session cannot take now is held, one message, and
 //! offered again: the outbox behind it has its own bounds.
 
-use crate::{Inbound, Node, Outbound, Outputs};
-use keys::{Keys, LocalMicros, NodeId, NodeTopic};
+use crate::{Inbound, Node, Outbound, Outputs, library::Library};
+use alloc::{format, string::String, vec::Vec};
+use core::fmt::Write;
+use keys::{Keys, LocalMicros, NodeId, NodeTopic, key::KeyText};
 use motion::StepBackend;
 use pico::{
     event::{
-        Congestion, DeclareError, Encoding, Priority, PublisherId, PutError, PutOptions,
-        SampleKind, SubscriberId, TokenId,
+        Congestion, DeclareError, Encoding, InboundQuery, Priority, PublisherId, PutError,
+        PutOptions, QueryableId, ReplyError, SampleKind, SubscriberId, TokenId,
     },
     session::{Event, Session},
 };
@@ -31,6 +33,10 @@ pub trait Host {
     fn poll_timeout(&self) -> Option<LocalMicros>;
     /// See [`Node::poll_outbox`].
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound>;
+    /// See [`Node::store_script`].
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>);
+    /// See [`Node::library`].
+    fn library(&self) -> &Library;
 }
 
 impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
@@ -49,6 +55,14 @@ impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
     fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
         Node::poll_outbox(self, now)
     }
+
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        Node::store_script(self, now, name, text);
+    }
+
+    fn library(&self) -> &Library {
+        Node::library(self)
+    }
 }
 
 /// Topics that a node hears.
@@ -60,17 +74,25 @@ const HEARD: [NodeTopic; 4] = [
 ];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 5] = [
+const SPOKEN: [NodeTopic; 6] = [
     NodeTopic::Clock,
     NodeTopic::Start,
     NodeTopic::Ack,
     NodeTopic::Status,
     NodeTopic::Log,
+    NodeTopic::Report,
 ];
 
 /// Numbers of zenoh's encodings.
 const OCTET_STREAM: u16 = 3;
 const TEXT_PLAIN: u16 = 4;
+const JSON: u16 = 5;
+
+/// The key of stored scripts.
+type ScriptKey = heapless::String<DATA_KEY_BYTES_MAX>;
+
+/// Longest key that a script publishes on.
+const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 
 /// A node's declarations on its session. They outlive connections: the session declares them again
 /// on each.
@@ -80,6 +102,15 @@ pub struct NodeLink {
     spoken: [(PublisherId, NodeTopic); SPOKEN.len()],
     token: TokenId,
     held: Option<Outbound>,
+    /// Below which a script publishes.
+    data: KeyText,
+    /// Stored scripts: put, delete and get.
+    store: SubscriberId,
+    shelf: QueryableId,
+    /// The key below which they are.
+    scripts: ScriptKey,
+    /// Gets that wait for room: what is left to send for each.
+    gets: Vec<(InboundQuery, Vec<String>)>,
 }
 
 impl NodeLink {
@@ -108,7 +139,14 @@ impl NodeLink {
             (publish(SPOKEN[2])?, SPOKEN[2]),
             (publish(SPOKEN[3])?, SPOKEN[3]),
             (publish(SPOKEN[4])?, SPOKEN[4]),
+            (publish(SPOKEN[5])?, SPOKEN[5]),
         ];
+        let mut scripts = ScriptKey::new();
+        // Cannot fail: it was counted.
+        let _ = write!(scripts, "{}/node/{name}/script", keys.prefix());
+        let every = format!("{scripts}/*");
+        let store = session.declare_subscriber(&every)?;
+        let shelf = session.declare_queryable(&every, true)?;
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
         Ok(Self {
@@ -116,6 +154,11 @@ impl NodeLink {
             spoken,
             token,
             held: None,
+            data: keys.node(name, NodeTopic::Data),
+            store,
+            shelf,
+            scripts,
+            gets: Vec::new(),
         })
     }
 
@@ -136,7 +179,24 @@ impl NodeLink {
                 Event::Opened => host.handle(now, Inbound::LinkUp),
                 Event::Closed { .. } => {
                     self.held = None;
+                    self.gets.clear();
                     host.handle(now, Inbound::LinkDown);
+                }
+                Event::Message { subscriber, sample } if subscriber == self.store => {
+                    let name = sample.key.rsplit('/').next().unwrap_or_default();
+                    let text = (sample.kind == SampleKind::Put).then_some(&sample.payload[..]);
+                    host.store_script(now, name, text);
+                }
+                Event::Query {
+                    query,
+                    queryable,
+                    key,
+                    ..
+                } if queryable == self.shelf => {
+                    let asked = key.rsplit('/').next().unwrap_or_default();
+                    let names = host.library().iter().map(|(name, _)| name);
+                    let names = names.filter(|name| is_meant(asked, name));
+                    self.gets.push((query, names.map(String::from).collect()));
                 }
                 Event::Message { subscriber, sample } => {
                     let Some(topic) = self.topic_of(subscriber) else {
@@ -152,6 +212,7 @@ impl NodeLink {
                 _ => {}
             }
         }
+        self.answer(host, session);
         host.poll(now);
         while let Some(outbound) = self.held.take().or_else(|| host.poll_outbox(now)) {
             // Closed: the next status says everything. Any other error cannot be helped by another
@@ -164,12 +225,46 @@ impl NodeLink {
         host.poll_timeout()
     }
 
+    /// Replies to gets of stored scripts, as far as there is room.
+    fn answer<H: Host>(&mut self, host: &H, session: &mut Session) {
+        let options = PutOptions {
+            encoding: Encoding {
+                id: TEXT_PLAIN,
+                schema: None,
+            },
+            ..PutOptions::default()
+        };
+        while let Some((query, names)) = self.gets.first_mut() {
+            if let Some(name) = names.last() {
+                let text = host.library().get(name).unwrap_or_default();
+                let key = format!("{}/{name}", self.scripts);
+                match session.reply(query, &key, text.as_bytes(), &options) {
+                    Err(ReplyError::Full) => return,
+                    // Told, or nobody listens any more.
+                    _ => names.pop(),
+                };
+            } else {
+                if session.reply_final(query) == Err(ReplyError::Full) {
+                    return;
+                }
+                self.gets.remove(0);
+            }
+        }
+    }
+
     fn topic_of(&self, subscriber: SubscriberId) -> Option<NodeTopic> {
         let heard = self.heard.iter().find(|(id, _)| *id == subscriber);
         heard.map(|(_, topic)| *topic)
     }
 
     fn put(&self, session: &mut Session, outbound: &Outbound) -> Result<(), PutError> {
+        let options = options_of(outbound.topic);
+        if outbound.topic == NodeTopic::Data {
+            let mut key = heapless::String::<DATA_KEY_BYTES_MAX>::new();
+            // Cannot fail: it was counted.
+            let _ = write!(key, "{}/{}", self.data, outbound.suffix);
+            return session.put(key.as_str(), &outbound.payload, &options);
+        }
         let spoken = self
             .spoken
             .iter()
@@ -177,7 +272,20 @@ impl NodeLink {
         let Some((publisher, _)) = spoken else {
             return Ok(());
         };
-        session.put(*publisher, &outbound.payload, &options_of(outbound.topic))
+        session.put(*publisher, &outbound.payload, &options)
+    }
+}
+
+/// Returns whether the last chunk of a key means this name.
+fn is_meant(asked: &str, name: &str) -> bool {
+    match asked.split_once("$*") {
+        _ if asked == "*" || asked == "**" => true,
+        Some((before, after)) => {
+            name.len() >= before.len() + after.len()
+                && name.starts_with(before)
+                && name.ends_with(after)
+        }
+        None => asked == name,
     }
 }
 
@@ -187,6 +295,8 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         NodeTopic::Clock => (Priority::RealTime, Congestion::Drop, true, OCTET_STREAM),
         NodeTopic::Start => (Priority::RealTime, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Ack => (Priority::DataHigh, Congestion::Block, true, OCTET_STREAM),
+        NodeTopic::Report => (Priority::DataHigh, Congestion::Block, false, OCTET_STREAM),
+        NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),
         NodeTopic::Log => (Priority::Background, Congestion::Drop, false, TEXT_PLAIN),
         _ => (Priority::DataHigh, Congestion::Drop, false, OCTET_STREAM),
     };

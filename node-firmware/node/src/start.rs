@@ -147,9 +147,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// Returns whether what follows the barrier is in the ring, or as much of it as fits.
     fn is_filled(&self) -> bool {
-        let rest_is_here = self
-            .job
-            .is_some_and(|job| self.motion.accepted_commands() >= job.end);
+        let rest_is_here = if self.script.is_running() {
+            self.script_rests()
+        } else {
+            self.job
+                .is_some_and(|job| self.motion.accepted_commands() >= job.end)
+        };
         rest_is_here || self.motion.credit_commands() < batch::BATCH_COMMANDS_MAX
     }
 

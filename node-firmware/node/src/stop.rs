@@ -76,6 +76,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                     at: now,
                 };
                 self.motion.stop(mode, crate::ticks_from_local(now));
+                self.drop_script(now);
             }
             Phase::Stopping {
                 reason: reason_before,
@@ -159,7 +160,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             return;
         }
         self.link_loss_settled = true;
-        if !self.motion.is_active() {
+        if !self.is_busy() {
             return;
         }
         self.trace.note(now, Event::LinkLost);

@@ -38,10 +38,16 @@ pub enum Event {
     LogDropped,
     /// An ack or clock reply was overtaken by newer ones and dropped.
     ReplyDropped,
+    /// A script began.
+    ScriptBegun,
+    /// A script returned, or a stop ended it.
+    ScriptEnded,
+    /// A script failed.
+    ScriptFailed,
 }
 
 /// Kinds of [`Event`].
-pub const EVENT_KINDS: usize = 13;
+pub const EVENT_KINDS: usize = 16;
 
 impl Event {
     /// Returns the number of the event's kind, below [`EVENT_KINDS`].
@@ -60,6 +66,9 @@ impl Event {
             Self::MessageDropped => 10,
             Self::LogDropped => 11,
             Self::ReplyDropped => 12,
+            Self::ScriptBegun => 13,
+            Self::ScriptEnded => 14,
+            Self::ScriptFailed => 15,
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::{
         FleetConfig,
         event::{Effect, Lane, Table, Write},
         route::Route,
+        submit::check_script,
     },
     job::{Activation, Change, Ending, Job, book::Book},
 };
@@ -167,7 +168,7 @@ impl Node {
         }
     }
 
-    fn order(&self, order: &Order, turn: &mut Turn<'_>) {
+    pub(super) fn order(&self, order: &Order, turn: &mut Turn<'_>) {
         let mut buffer = [0; ORDER_BYTES_MAX];
         let bytes = keys::version::encode(order, &mut buffer)
             .expect("an order without commands is shorter than any with them");
@@ -190,7 +191,13 @@ impl Node {
             };
             // The firmware may have changed while the job waited.
             let own = job.commands.get(job.head_commands as usize..);
-            if let Err(error) = self.check(own.unwrap_or_default(), job.head_commands > 0) {
+            let synchronized = job.entry.record.group.is_some();
+            let scripts = match &job.script {
+                Some(_) => check_script(self.facts.features),
+                None => Ok(()),
+            };
+            let checked = self.check(own.unwrap_or_default(), synchronized);
+            if let Err(error) = scripts.and(checked) {
                 let change = Change::to(JobState::Failed).error(error);
                 turn.book
                     .change(&id, self.id, change, turn.now, turn.effects);
@@ -201,7 +208,8 @@ impl Node {
                 base: self.accepted,
                 at: turn.now,
             };
-            let end = activation.base + job.commands.len() as u64;
+            let script = job.script.clone();
+            let end = activation.base + job.commands.len() as u64 + u64::from(script.is_some());
             turn.book.prepare(&id, self.id, |part| {
                 part.entry.activation = Some(activation);
             });
@@ -210,14 +218,10 @@ impl Node {
                 .change(&id, self.id, change, turn.now, turn.effects);
             self.active = Some(id);
             self.stale_record = true;
-            self.route = Some(Route::new(
-                id,
-                activation.queue,
-                activation.base,
-                end,
-                turn.config.window_batches,
-                self.round_trip,
-            ));
+            let window_batches = turn.config.window_batches;
+            let (queue, base) = (activation.queue, activation.base);
+            let route = Route::new(id, queue, base, end, window_batches, self.round_trip);
+            self.route = Some(route.with_script(script));
             return;
         }
     }

@@ -7,11 +7,11 @@ use crate::{
         clock::Stamps,
         route::{Route, Setback},
     },
-    job::{Activation, Change, Ending, Job, group::Passed},
+    job::{Activation, Change, Ending, Job, ScriptEnd, group::Passed},
 };
 use keys::{
-    BatchAck, FleetMicros, NodeState, QueueId, Refusal, Status, StopMode, StopReason, StopReport,
-    Verdict,
+    BatchAck, FleetMicros, NodeState, Order, QueueId, Refusal, ScriptOutcome, ScriptReport, Status,
+    StopMode, StopReason, StopReport, Verdict,
     clock::ClockReply,
     record::{ErrorCode, JobError, JobState},
 };
@@ -58,7 +58,22 @@ impl Node {
         }
         self.status = Some(status);
         self.store(turn);
+        self.note_script(turn);
         self.judge_active(turn);
+    }
+
+    /// A script's commands are counted as it queues them.
+    fn note_script(&self, turn: &mut Turn<'_>) {
+        let Some(id) = self.active else { return };
+        let here = turn.book.part(&id, self.id).is_some_and(|part| {
+            let queue = part.entry.activation.map(|activation| activation.queue);
+            part.script.is_some() && queue == Some(self.facts.queue)
+        });
+        if here {
+            let accepted = self.accepted;
+            let edit = |part: &mut Job| part.note_accepted(accepted);
+            turn.book.prepare(&id, self.id, edit);
+        }
     }
 
     /// Decides whether a status is news. `None`: it is not. Else the queue that was known before.
@@ -189,6 +204,14 @@ impl Node {
         let total = job.entry.record.progress.total;
         if queue != status.queue {
             let report = status.stop.clone();
+            // A script that fails drops its queue; why it failed comes by itself.
+            let failed = job.script.is_some() && job.entry.ending.is_none();
+            let by_itself = report
+                .as_ref()
+                .is_some_and(|report| report.queue == queue && report.reason == StopReason::Cancel);
+            if failed && by_itself && queue.boot == status.queue.boot {
+                return;
+            }
             let change = self.outcome_of_dropped(job, queue, report.as_ref());
             let passed = match report.filter(|report| report.queue == queue) {
                 _ if job.passed == Passed::Yes => Passed::Yes,
@@ -201,16 +224,19 @@ impl Node {
             return;
         }
         // Success needs the word that also tells the positions; an answer may have been quicker.
-        if job.done_of(status.executed_commands) >= total {
+        if job.is_done(status.executed_commands) {
+            let script_end = job.entry.script_end.clone();
             turn.book
                 .prepare(&id, self.id, |part| part.passed = Passed::Yes);
             let change = Change::to(JobState::Succeeded)
                 .done(total)
-                .position(status.axes.iter().map(|axis| axis.position_steps));
+                .position(status.axes.iter().map(|axis| axis.position_steps))
+                .returned(script_end);
             self.facts.position_steps = status.axes.iter().map(|a| a.position_steps).collect();
             self.finish_active(change, turn);
             return;
         }
+        let script = job.script.clone();
         let done = job.done_of(self.executed);
         // A part waits at the barrier of its start until that is over.
         let begun = self.executed >= base + job.head_commands;
@@ -247,7 +273,7 @@ impl Node {
                 self.round_trip,
             );
             route.handle_accepted(self.accepted, turn.now);
-            self.route = Some(route);
+            self.route = Some(route.with_script(script));
         }
     }
 
@@ -260,7 +286,8 @@ impl Node {
             Some(report) => job.done_of(report.executed_commands),
             None => job.entry.record.progress.done,
         };
-        let change = if done >= total {
+        let all = report.is_some_and(|report| job.is_done(report.executed_commands));
+        let change = if all || (job.script.is_none() && done >= total) {
             Change::to(JobState::Succeeded)
         } else {
             match (&job.entry.ending, report) {
@@ -292,7 +319,9 @@ impl Node {
         };
         let change = change.done(done);
         match report {
-            Some(report) => change.position(report.positions_steps.iter().copied()),
+            Some(report) => change
+                .position(report.positions_steps.iter().copied())
+                .returned(job.entry.script_end.clone()),
             None => change,
         }
     }
@@ -312,6 +341,9 @@ impl Node {
             turn.now,
         );
         let Verdict::Refused(refusal) = ack.verdict else {
+            if let Some(route) = &mut self.route {
+                route.handle_part(turn.now);
+            }
             return;
         };
         let Some(route) = &mut self.route else { return };
@@ -342,6 +374,54 @@ impl Node {
                 self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
             }
         }
+    }
+
+    /// The end of a script arrived. Once it is written down, the node may forget it.
+    pub(in crate::fleet) fn handle_report(
+        &mut self,
+        report: &ScriptReport,
+        text: &str,
+        turn: &mut Turn<'_>,
+    ) {
+        let part = self
+            .active
+            .filter(|id| *id == report.job)
+            .and_then(|id| turn.book.part(&id, self.id))
+            .filter(|part| part.script.is_some());
+        let mine = part
+            .and_then(|part| Some((part.entry.activation?, part.head_commands)))
+            .filter(|(activation, head_commands)| {
+                activation.queue == report.queue
+                    && activation.base + head_commands == report.first_command + 1
+            });
+        if let Some((activation, head_commands)) = mine {
+            match report.outcome {
+                ScriptOutcome::Returned => {
+                    let end = report.end_command;
+                    let script_end = ScriptEnd {
+                        end,
+                        returned: serde_json::from_str(text).ok(),
+                    };
+                    let total = end.saturating_sub(activation.base + head_commands);
+                    let edit = |part: &mut Job| {
+                        part.entry.record.progress.total = total;
+                        part.entry.script_end = Some(script_end);
+                    };
+                    turn.book.edit(&report.job, self.id, edit, turn.effects);
+                }
+                ScriptOutcome::Failed => {
+                    let message = format!("lua: {text}");
+                    let error = JobError::new(ErrorCode::BadCommand, message);
+                    self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
+                }
+            }
+            self.judge_active(turn);
+        }
+        let seen = Order::ScriptSeen {
+            queue: report.queue,
+            first_command: report.first_command,
+        };
+        self.order(&seen, turn);
     }
 
     /// A clock reply arrived, and when.

@@ -1,0 +1,362 @@
+//! Scripts of jobs: they arrive once, move what they say, and end with the truth.
+
+mod rig;
+
+use emulator::{EmulatorConfig, Recording, oracle};
+use keys::{
+    AxisId, NodeState, NodeTopic, Order, Refusal, ScriptHeader, ScriptOutcome, ScriptReport,
+    StopMode, Verdict, batch::ORDER_BYTES_MAX, version,
+};
+use rig::{Rig, batch_bytes, job, steps};
+
+/// A node whose pulses can be judged.
+fn config() -> EmulatorConfig {
+    let mut config = rig::config();
+    config.record = Recording::Edges { max: 1_000_000 };
+    config
+}
+
+/// The orders that carry a script as the next thing of the queue, in parts of this size.
+fn script_orders(rig: &Rig, name: &str, text: &str, part_bytes: usize) -> Vec<Vec<u8>> {
+    let status = rig.status();
+    let mut offset_bytes = 0;
+    text.as_bytes()
+        .chunks(part_bytes)
+        .map(|part| {
+            let order = Order::Script(ScriptHeader {
+                queue: status.queue,
+                first_command: status.accepted_commands,
+                job: job(name),
+                offset_bytes,
+                total_bytes: text.len() as u32,
+            });
+            offset_bytes += part.len() as u32;
+            let mut buffer = [0; ORDER_BYTES_MAX];
+            let mut bytes = version::encode(&order, &mut buffer).expect("room").to_vec();
+            bytes.extend_from_slice(part);
+            bytes
+        })
+        .collect()
+}
+
+fn send(rig: &mut Rig, text: &str) {
+    for order in script_orders(rig, "lua-1", text, 1000) {
+        assert_eq!(rig.order_bytes(&order).verdict, Verdict::Accepted);
+    }
+}
+
+/// The last report that was sent.
+fn report(rig: &Rig) -> Option<(ScriptReport, String)> {
+    let (_, _, payload) = rig
+        .sent
+        .iter()
+        .rfind(|(_, topic, _)| *topic == NodeTopic::Report)?;
+    let (report, text) = ScriptReport::decode(payload).expect("a report");
+    Some((report, text.to_owned()))
+}
+
+fn reported(rig: &Rig, outcome: ScriptOutcome) -> String {
+    let (report, text) = report(rig).expect("a report was sent");
+    assert_eq!(report.outcome, outcome, "{text}");
+    text
+}
+
+fn check_pulses(rig: &mut Rig) {
+    oracle::check_life(&rig.node.life()).expect("good pulses");
+}
+
+#[test]
+fn a_script_moves_the_axes_and_returns() {
+    let mut rig = Rig::new(config());
+    let text = "motor.queue_sync_move(100, 300, 200, -100) motor.queue_move(0, 50, -40)
+        local id = motor.queue_pause(5)
+        motor.execute() wait_idle()
+        return {a = motor.get_position(0), b = motor.get_position(1), done = motor.is_done(id)}";
+    send(&mut rig, text);
+    assert_eq!(rig.status().job, Some(job("lua-1")));
+    assert_eq!(rig.state(), NodeState::Running);
+    rig.run_for(1_000_000);
+    assert_eq!(
+        reported(&rig, ScriptOutcome::Returned),
+        r#"{"a":260,"b":-100,"done":true}"#
+    );
+    assert_eq!(rig.position(), 260);
+    assert_eq!(rig.status().job, None);
+    assert_eq!(rig.state(), NodeState::Idle);
+    // One number for the script, three for its commands.
+    assert_eq!(rig.status().executed_commands, 4);
+    // The queue goes on behind it.
+    assert_eq!(rig.batch(&[steps(40)]).verdict, Verdict::Accepted);
+    rig.run_for(1_000_000);
+    assert_eq!(rig.position(), 300);
+    check_pulses(&mut rig);
+}
+
+#[test]
+fn parts_that_come_twice_late_or_not_at_all_have_no_second_effect() {
+    let mut rig = Rig::new(config());
+    let text = "motor.queue_move(0, 100, 50) motor.execute() -- a comment to make it longer";
+    let orders = script_orders(&rig, "lua-1", text, 20);
+    assert!(orders.len() > 3);
+    let gap = rig.order_bytes(&orders[1]).verdict;
+    assert_eq!(gap, Verdict::Refused(Refusal::Gap));
+    for order in &orders[..2] {
+        let _ = rig.order_bytes(order);
+    }
+    assert_eq!(
+        rig.order_bytes(&orders[3]).verdict,
+        Verdict::Refused(Refusal::Gap)
+    );
+    // Begun again from the front.
+    for order in &orders {
+        assert_eq!(rig.order_bytes(order).verdict, Verdict::Accepted);
+    }
+    for order in &orders {
+        assert_eq!(rig.order_bytes(order).verdict, Verdict::Duplicate);
+    }
+    rig.run_for(1_000_000);
+    for order in &orders {
+        assert_eq!(rig.order_bytes(order).verdict, Verdict::Duplicate);
+    }
+    rig.run_for(1_000_000);
+    assert_eq!(rig.position(), 50);
+}
+
+#[test]
+fn while_a_script_runs_the_queue_is_its_own() {
+    let mut rig = Rig::new(config());
+    send(&mut rig, "sleep(100)");
+    let header = rig.next_header(1);
+    let verdict = rig.order_bytes(&batch_bytes(header, &[steps(1)])).verdict;
+    assert_eq!(verdict, Verdict::Refused(Refusal::ScriptRuns));
+    rig.run_for(200_000);
+    assert_eq!(rig.batch(&[steps(1)]).verdict, Verdict::Accepted);
+}
+
+#[test]
+fn a_report_is_said_again_until_it_is_seen() {
+    let mut rig = Rig::new(config());
+    send(&mut rig, "return 1");
+    rig.run_for(3_000_000);
+    let count = |rig: &Rig| {
+        let reports = rig.sent.iter().filter(|sent| sent.1 == NodeTopic::Report);
+        reports.count()
+    };
+    let told = count(&rig);
+    assert!((5..=8).contains(&told), "{told}");
+    rig.link(false);
+    rig.run_for(3_000_000);
+    assert_eq!(count(&rig), told);
+    rig.link(true);
+    rig.run_for(10_000);
+    assert_eq!(count(&rig), told + 1);
+    let (report, _) = report(&rig).expect("said");
+    let _ = rig.order(&Order::ScriptSeen {
+        queue: report.queue,
+        first_command: report.first_command,
+    });
+    rig.run_for(3_000_000);
+    assert_eq!(count(&rig), told + 1);
+}
+
+#[test]
+fn a_script_that_fails_stops_what_it_moved_and_says_where() {
+    let mut rig = Rig::new(config());
+    send(
+        &mut rig,
+        "motor.queue_move(0, 100, 100000)\nmotor.execute()\nsleep(50)\nlocal x = nil + 1",
+    );
+    rig.run_for(2_000_000);
+    let text = reported(&rig, ScriptOutcome::Failed);
+    assert!(
+        text.starts_with("lua-1:4: attempt to perform arithmetic on a nil value"),
+        "{text}"
+    );
+    assert!(text.contains("in main chunk"), "{text}");
+    assert_eq!(rig.state(), NodeState::Idle);
+    assert!((500..2_000).contains(&rig.position()), "{}", rig.position());
+    assert_eq!(rig.queue().flush, 1);
+    assert_eq!(rig.batch(&[steps(1)]).verdict, Verdict::Accepted);
+    rig.run_for(100_000);
+    check_pulses(&mut rig);
+}
+
+#[test]
+fn a_script_that_does_not_compile_moves_nothing() {
+    let mut rig = Rig::new(config());
+    send(&mut rig, "motor.queue_move(0, 100, 1)\nmotor.execute(");
+    rig.run_for(100_000);
+    let text = reported(&rig, ScriptOutcome::Failed);
+    assert_eq!(text, "lua-1:2: unexpected symbol near <eof>");
+    assert_eq!(rig.position(), 0);
+}
+
+#[test]
+fn a_stop_ends_the_script_and_nothing_is_resumed() {
+    for (stop, expected) in [(true, NodeState::Stopped), (false, NodeState::Idle)] {
+        let mut rig = Rig::new(config());
+        send(
+            &mut rig,
+            "while true do motor.queue_move(0, 100, 1000)\nwait_idle() end",
+        );
+        rig.run_for(250_000);
+        let queue = rig.queue();
+        if stop {
+            rig.stop(StopMode::Halt);
+        } else {
+            let _ = rig.cancel(queue, StopMode::Decelerate);
+        }
+        rig.run_for(1_000_000);
+        assert_eq!(rig.state(), expected);
+        let position = rig.position();
+        let reason = if stop { "client" } else { "cancel" };
+        let words = format!("script ended: {reason}; it was at lua-1:2: in main chunk");
+        assert!(rig.lines().contains(&words), "{:?}", rig.lines());
+        if stop {
+            let _ = rig.release(rig.queue());
+        }
+        rig.link(false);
+        rig.link(true);
+        rig.run_for(3_000_000);
+        assert_eq!(rig.position(), position);
+        assert!(report(&rig).is_none());
+    }
+}
+
+#[test]
+fn an_endless_loop_leaves_status_motion_and_stop_alone() {
+    let mut rig = Rig::new(config());
+    send(
+        &mut rig,
+        "for i = 1, 100 do motor.queue_move(0, 100, 100) end motor.execute() while true do end",
+    );
+    let before = rig.statuses().len();
+    rig.run_for(500_000);
+    assert!(rig.statuses().len() >= before + 5);
+    assert_eq!(rig.position(), 5_000);
+    rig.stop(StopMode::Halt);
+    rig.run_for(10_000);
+    assert_eq!(rig.state(), NodeState::Stopped);
+    check_pulses(&mut rig);
+}
+
+#[test]
+fn the_emergency_stop_of_a_script_is_a_stop() {
+    let mut rig = Rig::new(config());
+    send(
+        &mut rig,
+        "motor.queue_move(0, 100, 10000) motor.execute() sleep(100) pcall(motor.emergency_stop)",
+    );
+    rig.run_for(1_000_000);
+    assert_eq!(rig.state(), NodeState::Stopped);
+    assert!((990..1010).contains(&rig.position()), "{}", rig.position());
+    check_pulses(&mut rig);
+}
+
+#[test]
+fn a_lost_link_ends_a_script_even_while_nothing_moves() {
+    let mut rig = Rig::new(config());
+    send(&mut rig, "sleep(60000) motor.queue_move(0, 100, 1000)");
+    rig.link(false);
+    rig.run_for(5_000_000);
+    rig.link(true);
+    rig.run_for(60_000_000);
+    assert_eq!(rig.state(), NodeState::Stopped);
+    assert_eq!(rig.position(), 0);
+}
+
+#[test]
+fn thousands_of_commands_flow_through_a_small_queue() {
+    let mut small = config();
+    small.ring_commands = 32;
+    let mut rig = Rig::new(small);
+    send(
+        &mut rig,
+        "for i = 1, 5000 do motor.queue_move(i % 2, 20, 1 + i % 5) end",
+    );
+    rig.run_for(10_000_000);
+    reported(&rig, ScriptOutcome::Returned);
+    assert_eq!(rig.status().executed_commands, 5001);
+    assert_eq!(rig.position(), 7_500);
+    check_pulses(&mut rig);
+}
+
+#[test]
+fn hold_resume_and_speed_act_on_lines_under_way() {
+    let mut rig = Rig::new(config());
+    send(
+        &mut rig,
+        "motor.queue_line({32000, 12800}, 4000, 2000) motor.execute() sleep(3000) motor.hold() sleep(3000) local held = motor.get_position(0)
+         local state = node.status().state sleep(500)
+         local still = motor.get_position(0) == held and state
+         motor.set_speed_percent(50) motor.resume() wait_idle()
+         return still, motor.get_position(0), motor.get_position(1)",
+    );
+    rig.run_for(60_000_000);
+    assert_eq!(
+        reported(&rig, ScriptOutcome::Returned),
+        r#"["paused",32000,12800]"#
+    );
+    assert_eq!(rig.node.position_steps(AxisId(1)), 12_800);
+}
+
+#[test]
+fn lidar_laser_log_and_values_get_where_they_belong() {
+    let mut rig = Rig::new(config());
+    send(
+        &mut rig,
+        "laser.set_power(40) print('hello', node.name) node.publish('height', {mm = 3})
+         return lidar.read()",
+    );
+    rig.run_for(3_000_000);
+    let text = reported(&rig, ScriptOutcome::Returned);
+    assert_eq!(Some(text), rig.status().lidar_mm.map(|mm| mm.to_string()));
+    assert_eq!(rig.status().laser_percent, 40);
+    assert!(
+        rig.lines().contains(&"hello left".to_owned()),
+        "{:?}",
+        rig.lines()
+    );
+    let data = rig.sent.iter().find(|sent| sent.1 == NodeTopic::Data);
+    assert_eq!(
+        data.map(|sent| sent.2.as_slice()),
+        Some(&br#"{"mm":3}"#[..])
+    );
+}
+
+#[test]
+fn a_boot_script_runs_only_where_the_configuration_allows_it() {
+    for allowed in [false, true] {
+        let mut config = config();
+        config.boot_script = allowed;
+        let mut rig = Rig::new(config);
+        let now = rig.now;
+        let text: &[u8] = b"motor.queue_move(0, 100, 30)";
+        rig.node.node_mut().store_script(now, "boot", Some(text));
+        rig.run_for(1_000_000);
+        assert_eq!(rig.position(), 0);
+        rig.node.reset(99);
+        rig.now = keys::LocalMicros(0);
+        rig.link(true);
+        rig.run_for(1_000_000);
+        assert_eq!(rig.position(), if allowed { 30 } else { 0 });
+        check_pulses(&mut rig);
+        // Removed, it is gone for good.
+        let now = rig.now;
+        rig.node.node_mut().store_script(now, "boot", None);
+        assert!(rig.node.node().library().iter().next().is_none());
+    }
+}
+
+#[test]
+fn a_stored_script_is_called_with_arguments() {
+    let mut rig = Rig::new(config());
+    let library = rig.node.node_mut().library_mut();
+    let text =
+        b"local a = ... motor.queue_move(0, 100, a.steps) wait_idle() return motor.get_position(0)";
+    assert_eq!(library.put("step", text), Ok(()));
+    send(&mut rig, "return node.call('step', {steps = 77})");
+    rig.run_for(1_000_000);
+    assert_eq!(reported(&rig, ScriptOutcome::Returned), "77");
+    assert_eq!(rig.position(), 77);
+}

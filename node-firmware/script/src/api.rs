@@ -1,0 +1,680 @@
+//! The functions that a script can call, one by one. `stepfleet.lua` beside this crate says the same
+//! to an editor, and a test compares the two.
+
+use crate::{
+    ffi::{Answer, Call, Calls, Function, REPLIES_MAX, Reply, Value},
+    host::{Full, Host},
+};
+use alloc::{format, string::String, vec::Vec};
+use core::fmt::Write;
+use keys::{
+    AxisId, Command, LocalMicros, NodeState,
+    command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
+};
+
+/// What a script waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wait {
+    /// Nothing: it has used up its slice.
+    Slice,
+    /// Room in the queue.
+    Room,
+    /// A time.
+    Until(LocalMicros),
+    /// The end of everything in the queue.
+    Idle,
+    /// A lidar reading.
+    Lidar {
+        /// How many readings there were when it was asked for.
+        count: u32,
+        /// Number of the request in the queue, plus one.
+        command: u64,
+        /// The latest time for it, once the request has left.
+        until: Option<LocalMicros>,
+    },
+    /// Room for another message.
+    Publish,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Do {
+    QueueMove,
+    QueueSyncMove,
+    QueuePause,
+    QueueRamp,
+    QueueRampTo,
+    QueueLine,
+    QueueSetPosition,
+    QueueHome,
+    QueueMoveC,
+    QueueMoveD,
+    QueueStatusCd,
+    Execute,
+    EmergencyStop,
+    IsBusy,
+    IsDone,
+    GetPosition,
+    GetSpeed,
+    GetQueueDepth,
+    Hold,
+    Resume,
+    SetSpeedPercent,
+    LaserSetPower,
+    LidarRead,
+    InputRead,
+    NowUs,
+    NowMs,
+    Status,
+    Publish,
+    CallStored,
+    Sleep,
+    WaitIdle,
+}
+
+const COUNT: usize = 31;
+
+macro_rules! functions {
+    ($(($module:literal, $name:literal, $shape:literal, $what:ident),)*) => {
+        /// What C gets.
+        pub(crate) static FUNCTIONS: [Function; COUNT] = [$(Function::new($module, $name, $shape),)*];
+        const WHAT: [Do; COUNT] = [$(Do::$what,)*];
+        /// Every function of the API: module (empty: a global), and name.
+        pub const NAMES: [(&str, &str); COUNT] = [$((text($module), text($name)),)*];
+    };
+}
+
+const fn text(text: &'static core::ffi::CStr) -> &'static str {
+    match text.to_str() {
+        Ok(text) => text,
+        Err(_) => panic!("ASCII"),
+    }
+}
+
+functions! {
+    (c"motor", c"queue_move", c"vvv", QueueMove),
+    (c"motor", c"queue_sync_move", c"vvvv", QueueSyncMove),
+    (c"motor", c"queue_pause", c"v", QueuePause),
+    (c"motor", c"queue_ramp", c"vvvvr", QueueRamp),
+    (c"motor", c"queue_ramp_to", c"vvvvr", QueueRampTo),
+    (c"motor", c"queue_line", c"lvvv", QueueLine),
+    (c"motor", c"queue_set_position", c"vv", QueueSetPosition),
+    (c"motor", c"queue_home", c"v", QueueHome),
+    (c"motor", c"queue_move_c", c"v", QueueMoveC),
+    (c"motor", c"queue_move_d", c"v", QueueMoveD),
+    (c"motor", c"queue_status_cd", c"", QueueStatusCd),
+    (c"motor", c"execute", c"", Execute),
+    (c"motor", c"emergency_stop", c"", EmergencyStop),
+    (c"motor", c"is_busy", c"", IsBusy),
+    (c"motor", c"is_done", c"v", IsDone),
+    (c"motor", c"get_position", c"v", GetPosition),
+    (c"motor", c"get_speed", c"v", GetSpeed),
+    (c"motor", c"get_queue_depth", c"", GetQueueDepth),
+    (c"motor", c"hold", c"", Hold),
+    (c"motor", c"resume", c"", Resume),
+    (c"motor", c"set_speed_percent", c"v", SetSpeedPercent),
+    (c"laser", c"set_power", c"v", LaserSetPower),
+    (c"lidar", c"read", c"v", LidarRead),
+    (c"input", c"read", c"v", InputRead),
+    (c"node", c"now_us", c"", NowUs),
+    (c"node", c"now_ms", c"", NowMs),
+    (c"node", c"status", c"", Status),
+    (c"node", c"publish", c"vt", Publish),
+    (c"node", c"call", c"vv", CallStored),
+    (c"", c"sleep", c"v", Sleep),
+    (c"", c"wait_idle", c"", WaitIdle),
+}
+
+/// Longest name that `node.publish` takes.
+const SUFFIX_BYTES_MAX: usize = 32;
+
+/// Longest sleep and pause, ms: a day.
+const MS_MAX: i64 = 86_400_000;
+
+/// How long `lidar.read` waits for the sensor when nothing is said, ms.
+const LIDAR_MS_DEFAULT: i64 = 1_000;
+
+/// What looking at the node costs beyond its own instruction, so that a loop that only looks
+/// leaves the processor to others.
+const LOOK_INSTRUCTIONS: u32 = 200;
+
+/// What a script has done and waits for: its half of the border to the node.
+#[derive(Debug)]
+pub(crate) struct Doings {
+    /// Queued and not executed yet. Never more than fit into the queue.
+    staged: Vec<Command>,
+    /// Commands that were queued since the script began.
+    queued_count: u64,
+    /// Number in the node's queue of the script's first command.
+    first_command: u64,
+    pub(crate) wait: Option<Wait>,
+    text: String,
+    pub(crate) stored: Vec<u8>,
+    cost: u32,
+    /// The script did something that a runaway does not do.
+    pub(crate) lives: bool,
+    pub(crate) stopped: bool,
+}
+
+impl Doings {
+    pub(crate) const fn new(first_command: u64) -> Self {
+        Self {
+            staged: Vec::new(),
+            queued_count: 0,
+            first_command,
+            wait: None,
+            text: String::new(),
+            stored: Vec::new(),
+            cost: 0,
+            lives: false,
+            stopped: false,
+        }
+    }
+
+    /// Returns how many commands are queued and not executed.
+    pub(crate) fn staged_count(&self) -> usize {
+        self.staged.len()
+    }
+
+    /// Gives what is queued to the node.
+    pub(crate) fn execute(&mut self, host: &mut dyn Host) {
+        if !self.staged.is_empty() {
+            host.push(&self.staged);
+            self.staged.clear();
+            self.lives = true;
+        }
+    }
+}
+
+/// Why an argument is wrong: what it must be instead.
+type Wrong = String;
+
+/// [`Doings`] with the node, for one step.
+pub(crate) struct Turn<'a> {
+    pub(crate) doings: &'a mut Doings,
+    pub(crate) host: &'a mut dyn Host,
+}
+
+impl Calls for Turn<'_> {
+    fn call(&mut self, call: Call<'_>) -> Answer {
+        let again = self.doings.wait.take().filter(|_| call.again);
+        match self.carry_out(&call, again) {
+            Ok(answer) => answer,
+            Err(wrong) => {
+                self.doings.text = wrong;
+                Answer::Error
+            }
+        }
+    }
+
+    fn field(&mut self, _: usize, index: usize) -> Option<[Option<Reply>; REPLIES_MAX]> {
+        let pair = |name, value| Some([Some(Reply::Word(name)), Some(value), None]);
+        let host = &*self.host;
+        match index {
+            0 => pair("state", Reply::Word(word_of(host.state()))),
+            1 => pair("busy", Reply::Boolean(self.is_busy())),
+            2 => pair("queue_depth", Reply::Wide(self.depth())),
+            3 => pair(
+                "queue_free",
+                wide(host.credit_commands() - self.doings.staged.len()),
+            ),
+            4 => pair("laser_percent", Reply::Integer(host.laser_percent().into())),
+            5 => pair(
+                "lidar_mm",
+                host.lidar()
+                    .mm
+                    .map_or(Reply::Nil, |mm| Reply::Wide(mm.into())),
+            ),
+            6 => pair("now_ms", Reply::Integer((host.now().0 / 1000) as i32)),
+            index => {
+                let axis = index - 7;
+                (axis < host.axis_count()).then(|| {
+                    let position = host.position_steps(AxisId(axis as u8));
+                    [
+                        Some(Reply::Word("position")),
+                        Some(Reply::Integer(axis as i32)),
+                        Some(Reply::Wide(position)),
+                    ]
+                })
+            }
+        }
+    }
+
+    fn text(&self) -> &[u8] {
+        if self.doings.stored.is_empty() {
+            self.doings.text.as_bytes()
+        } else {
+            &self.doings.stored
+        }
+    }
+
+    fn print(&mut self, line: &[u8]) {
+        self.host.print(&String::from_utf8_lossy(line));
+    }
+
+    fn take_cost(&mut self) -> u32 {
+        core::mem::take(&mut self.doings.cost)
+    }
+
+    fn is_ended(&self) -> bool {
+        self.doings.stopped
+    }
+}
+
+fn wide(value: usize) -> Reply {
+    Reply::Wide(i64::try_from(value).unwrap_or(i64::MAX))
+}
+
+fn returns(reply: Reply) -> Answer {
+    Answer::Return([Some(reply), None, None])
+}
+
+const NOTHING: Answer = Answer::Return([None; REPLIES_MAX]);
+
+fn word_of(state: NodeState) -> &'static str {
+    match state {
+        NodeState::Idle => "idle",
+        NodeState::Ready => "ready",
+        NodeState::Running => "running",
+        NodeState::Paused => "paused",
+        NodeState::Stopped => "stopped",
+        NodeState::Fault => "fault",
+    }
+}
+
+impl Turn<'_> {
+    fn carry_out(&mut self, call: &Call<'_>, again: Option<Wait>) -> Result<Answer, Wrong> {
+        let args = Args(call.args);
+        self.doings.stored.clear();
+        match WHAT[call.function] {
+            Do::QueueMove => {
+                let axis = self.axis(&args)?;
+                let delay_us = args.positive(1, "delay_us")?;
+                let steps = args.steps(2, "steps")?;
+                self.queue(Command::Move {
+                    axis,
+                    delay_us,
+                    steps,
+                })
+            }
+            Do::QueueSyncMove => {
+                let delay_us = [args.positive(0, "delay1")?, args.positive(2, "delay2")?];
+                let steps = [args.steps(1, "steps1")?, args.steps(3, "steps2")?];
+                self.queue(Command::SyncMove { delay_us, steps })
+            }
+            Do::QueuePause => {
+                let pause_ms = args.whole(0, "ms", 0, MS_MAX)? as u32;
+                self.queue(Command::Pause { pause_ms })
+            }
+            Do::QueueRamp => {
+                let axis = self.axis(&args)?;
+                let steps = args.steps(1, "steps")?;
+                let ramp = args.ramp()?;
+                self.queue(Command::Ramp { axis, steps, ramp })
+            }
+            Do::QueueRampTo => {
+                let axis = self.axis(&args)?;
+                let position_steps = args.any(1, "position")?;
+                let ramp = args.ramp()?;
+                self.queue(Command::RampTo {
+                    axis,
+                    position_steps,
+                    ramp,
+                })
+            }
+            Do::QueueLine => {
+                let mut steps = [0; LINE_AXES];
+                for (index, to) in steps.iter_mut().enumerate() {
+                    if index == 0 || call.args[index] != Value::Nil {
+                        *to = args.any(index, "steps")? as i32;
+                    }
+                }
+                let speed_hz = args.positive(4, "speed_hz")?;
+                let accel_hz_per_s = args.positive(5, "accel")?;
+                let jerk_hz_per_s2 = match call.args[6] {
+                    Value::Nil => 0,
+                    _ => args.positive(6, "jerk")?,
+                };
+                self.queue(Command::Line {
+                    steps,
+                    speed_hz,
+                    accel_hz_per_s,
+                    jerk_hz_per_s2,
+                })
+            }
+            Do::QueueSetPosition => {
+                let axis = self.axis(&args)?;
+                let position_steps = args.any(1, "position")?;
+                self.queue(Command::SetPosition {
+                    axis,
+                    position_steps,
+                })
+            }
+            Do::QueueHome => {
+                let axis = self.axis(&args)?;
+                self.queue(Command::Home { axis })
+            }
+            Do::QueueMoveC => {
+                let index = args.whole(0, "position", 0, POSITION_C_MAX.into())? as u8;
+                self.queue(Command::MoveC { index })
+            }
+            Do::QueueMoveD => {
+                let on = args.boolean(0, "on")?;
+                self.queue(Command::MoveD { on })
+            }
+            Do::QueueStatusCd => self.queue(Command::StatusCd),
+            Do::LaserSetPower => {
+                let power_percent = args.whole(0, "power", 0, 100)? as u8;
+                self.queue(Command::Laser { power_percent })
+            }
+            Do::Execute => {
+                self.doings.execute(self.host);
+                Ok(NOTHING)
+            }
+            Do::EmergencyStop => {
+                self.doings.staged.clear();
+                self.doings.stopped = true;
+                self.host.emergency_stop();
+                Ok(Answer::Wait)
+            }
+            Do::IsBusy => {
+                self.look();
+                Ok(returns(Reply::Boolean(self.is_busy())))
+            }
+            Do::IsDone => {
+                let last = i64::try_from(self.doings.queued_count).unwrap_or(i64::MAX);
+                let id = args.whole(0, "id", 1, last)?;
+                self.look();
+                let number = self.doings.first_command + id.unsigned_abs();
+                let done = self.host.executed_commands() >= number;
+                Ok(returns(Reply::Boolean(done)))
+            }
+            Do::GetPosition => {
+                let axis = self.axis(&args)?;
+                self.look();
+                Ok(returns(Reply::Wide(self.host.position_steps(axis))))
+            }
+            Do::GetSpeed => {
+                let axis = self.axis(&args)?;
+                self.look();
+                let speed_hz = self.host.speed_mhz(axis) as f32 / 1000.0;
+                Ok(returns(Reply::Number(speed_hz)))
+            }
+            Do::GetQueueDepth => {
+                self.look();
+                Ok(returns(Reply::Wide(self.depth())))
+            }
+            Do::Hold => {
+                self.host.hold();
+                Ok(NOTHING)
+            }
+            Do::Resume => {
+                self.host.resume();
+                Ok(NOTHING)
+            }
+            Do::SetSpeedPercent => {
+                let percent = args.whole(0, "percent", 1, i64::from(u16::MAX))? as u16;
+                let set = self.host.set_speed_percent(percent);
+                set.map_err(|error| format!("percent: {error}"))?;
+                Ok(NOTHING)
+            }
+            Do::LidarRead => self.read_lidar(&args, again),
+            Do::InputRead => {
+                let name = args.name(0, "name")?;
+                self.look();
+                match self.host.input(name) {
+                    Some(active) => Ok(returns(Reply::Boolean(active))),
+                    None => Err(format!("name: the node has no input '{name}'")),
+                }
+            }
+            Do::NowUs => {
+                self.look();
+                Ok(returns(Reply::Integer(self.host.now().0 as i32)))
+            }
+            Do::NowMs => {
+                self.look();
+                Ok(returns(Reply::Integer((self.host.now().0 / 1000) as i32)))
+            }
+            Do::Status => {
+                self.look();
+                Ok(Answer::Table)
+            }
+            Do::Publish => {
+                let suffix = args.name(0, "suffix")?;
+                keys::NodeId::new(suffix).map_err(|error| format!("suffix: {error}"))?;
+                let json = match &call.json {
+                    Some(Ok(json)) => json,
+                    Some(Err(error)) => return Err(format!("value: {error}")),
+                    None => "null",
+                };
+                match self.host.publish(suffix, json) {
+                    Ok(()) => Ok(NOTHING),
+                    Err(Full) => self.wait_for(Wait::Publish),
+                }
+            }
+            Do::CallStored => {
+                let name = args.name(0, "name")?;
+                let Some(text) = self.host.stored(name) else {
+                    return Err(format!("name: no script '{name}' is stored on this node"));
+                };
+                self.doings.stored.extend_from_slice(text.as_bytes());
+                Ok(Answer::Script)
+            }
+            Do::Sleep => {
+                let ms = args.whole(0, "ms", 0, MS_MAX)?.unsigned_abs();
+                match again {
+                    Some(Wait::Until(until)) if self.host.now() >= until => Ok(NOTHING),
+                    Some(wait) => self.wait_for(wait),
+                    None => {
+                        let until = self.host.now().plus_us(ms.saturating_mul(1000));
+                        self.wait_for(Wait::Until(until))
+                    }
+                }
+            }
+            Do::WaitIdle => {
+                self.doings.execute(self.host);
+                if self.is_busy() {
+                    self.wait_for(Wait::Idle)
+                } else {
+                    Ok(NOTHING)
+                }
+            }
+        }
+    }
+
+    fn wait_for(&mut self, wait: Wait) -> Result<Answer, Wrong> {
+        self.doings.wait = Some(wait);
+        self.doings.lives = true;
+        Ok(Answer::Wait)
+    }
+
+    /// Queues a command, to be executed later: by `execute`, or when no more fit.
+    fn queue(&mut self, command: Command) -> Result<Answer, Wrong> {
+        self.host.check(&command).map_err(|error| {
+            let mut wrong = String::new();
+            let _ = write!(wrong, "{error}");
+            wrong
+        })?;
+        if self.doings.staged.len() >= self.host.credit_commands() {
+            self.doings.execute(self.host);
+            if self.host.credit_commands() == 0 {
+                return self.wait_for(Wait::Room);
+            }
+        }
+        if self.doings.staged.try_reserve(1).is_err() {
+            return Err("not enough memory".into());
+        }
+        self.doings.staged.push(command);
+        self.doings.queued_count += 1;
+        Ok(returns(Reply::Integer(self.doings.queued_count as i32)))
+    }
+
+    fn read_lidar(&mut self, args: &Args<'_>, again: Option<Wait>) -> Result<Answer, Wrong> {
+        let timeout_ms = match args.0[0] {
+            Value::Nil => LIDAR_MS_DEFAULT,
+            _ => args.whole(0, "timeout_ms", 1, MS_MAX)?,
+        };
+        let reading = self.host.lidar();
+        let now = self.host.now();
+        match again {
+            Some(Wait::Lidar {
+                count,
+                command,
+                until,
+            }) => {
+                if reading.count != count {
+                    let mm = reading.mm.map_or(Reply::Nil, |mm| Reply::Wide(mm.into()));
+                    return Ok(returns(mm));
+                }
+                if until.is_some_and(|until| now >= until) {
+                    return Ok(returns(Reply::Nil));
+                }
+                let left = self.host.executed_commands() >= command;
+                let timeout_us = timeout_ms.unsigned_abs() * 1000;
+                let until = until.or_else(|| left.then(|| now.plus_us(timeout_us)));
+                self.wait_for(Wait::Lidar {
+                    count,
+                    command,
+                    until,
+                })
+            }
+            _ => {
+                let queued = self.queue(Command::LidarRead)?;
+                if queued == Answer::Wait {
+                    return Ok(queued);
+                }
+                self.doings.execute(self.host);
+                let command = self.host.accepted_commands();
+                self.wait_for(Wait::Lidar {
+                    count: reading.count,
+                    command,
+                    until: None,
+                })
+            }
+        }
+    }
+
+    /// Something that polls while the node works is not a runaway.
+    fn look(&mut self) {
+        self.doings.cost = LOOK_INSTRUCTIONS;
+        if self.host.is_active() {
+            self.doings.lives = true;
+        }
+    }
+
+    fn is_busy(&self) -> bool {
+        self.host.is_active() || self.host.executed_commands() < self.host.accepted_commands()
+    }
+
+    fn depth(&self) -> i64 {
+        let pending = self.host.accepted_commands() - self.host.executed_commands();
+        let staged = self.doings.staged.len() as u64;
+        i64::try_from(pending + staged).unwrap_or(i64::MAX)
+    }
+
+    fn axis(&self, args: &Args<'_>) -> Result<AxisId, Wrong> {
+        let count = self.host.axis_count();
+        let max = i64::try_from(count).unwrap_or(0) - 1;
+        Ok(AxisId(args.whole(0, "axis", 0, max)? as u8))
+    }
+}
+
+/// The arguments of one call.
+struct Args<'a>(&'a [Value<'a>]);
+
+impl<'a> Args<'a> {
+    /// Returns a whole number in a range. A float that is one counts.
+    fn whole(&self, index: usize, name: &str, min: i64, max: i64) -> Result<i64, Wrong> {
+        let got = self.0.get(index).copied().unwrap_or(Value::Nil);
+        let value = match got {
+            Value::Integer(value) => Some(i64::from(value)),
+            // The nearest whole number: equal only if it is one.
+            Value::Number(value) if value as i64 as f32 == value => Some(value as i64),
+            _ => None,
+        };
+        match value {
+            Some(value) if (min..=max).contains(&value) => Ok(value),
+            _ => Err(format!(
+                "{name}: a whole number from {min} to {max}, got {}",
+                show(got)
+            )),
+        }
+    }
+
+    fn any(&self, index: usize, name: &str) -> Result<i64, Wrong> {
+        self.whole(index, name, -i64::from(i32::MAX), i32::MAX.into())
+    }
+
+    fn positive(&self, index: usize, name: &str) -> Result<u32, Wrong> {
+        Ok(self.whole(index, name, 1, i32::MAX.into())? as u32)
+    }
+
+    fn steps(&self, index: usize, name: &str) -> Result<i32, Wrong> {
+        match self.any(index, name)? {
+            0 => Err(format!("{name}: 0 steps move nothing")),
+            steps => Ok(steps as i32),
+        }
+    }
+
+    fn boolean(&self, index: usize, name: &str) -> Result<bool, Wrong> {
+        match self.0[index] {
+            Value::Boolean(value) => Ok(value),
+            got => Err(format!("{name}: true or false, got {}", show(got))),
+        }
+    }
+
+    fn name(&self, index: usize, name: &str) -> Result<&'a str, Wrong> {
+        match self.0[index] {
+            Value::Text(text) => match core::str::from_utf8(text) {
+                Ok(text) if (1..=SUFFIX_BYTES_MAX).contains(&text.len()) => Ok(text),
+                _ => Err(format!(
+                    "{name}: a text of 1 to {SUFFIX_BYTES_MAX} bytes, got {} bytes",
+                    text.len()
+                )),
+            },
+            got => Err(format!("{name}: a text, got {}", show(got))),
+        }
+    }
+
+    /// Reads speed, acceleration and the options of a ramp, which are its last five values.
+    fn ramp(&self) -> Result<Ramp, Wrong> {
+        let speed_hz = self.positive(2, "speed_hz")?;
+        let accel_hz_per_s = self.positive(3, "accel")?;
+        let short = |index: usize, name: &str| match self.0[index] {
+            Value::Nil => Ok(0),
+            _ => Ok::<u16, Wrong>(self.whole(index, name, 0, u16::MAX.into())? as u16),
+        };
+        let linear_steps = short(5, "options.linear_steps")?;
+        let jump_steps = short(6, "options.jump_steps")?;
+        let shape = match self.0[4] {
+            Value::Nil => RampShape::Trapezoid {
+                linear_steps,
+                jump_steps,
+            },
+            _ if linear_steps != 0 || jump_steps != 0 => {
+                return Err("options.jerk: not together with linear_steps or jump_steps".into());
+            }
+            _ => RampShape::Jerk {
+                jerk_hz_per_s2: self.positive(4, "options.jerk")?,
+            },
+        };
+        Ok(Ramp {
+            speed_hz,
+            accel_hz_per_s,
+            shape,
+        })
+    }
+}
+
+fn show(value: Value<'_>) -> String {
+    match value {
+        Value::Nil => "nothing".into(),
+        Value::Boolean(value) => format!("{value}"),
+        Value::Integer(value) => format!("{value}"),
+        Value::Number(value) => format!("{value:?}"),
+        Value::Text(text) if text.len() <= 20 => {
+            format!("the text '{}'", String::from_utf8_lossy(text))
+        }
+        Value::Text(_) => "a text".into(),
+        Value::Other(kind) => format!("a {kind}"),
+    }
+}

@@ -1,0 +1,75 @@
+//! What a script finds around it: the node, as far as scripts may see and move it.
+
+use keys::{AxisId, Command, LocalMicros, NodeState};
+use motion::CommandError;
+
+/// There is no room now; try again later.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full;
+
+/// The last lidar reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LidarReading {
+    /// How many readings there were since boot.
+    pub count: u32,
+    /// The last one, mm.
+    pub mm: Option<u32>,
+}
+
+/// The node around a script, for the time of one [`Script::step`](crate::Script::step).
+///
+/// The queue is the node's own: its commands are counted from the node's first one, and everything
+/// that is pushed here is executed as if the gateway had sent it.
+pub trait Host {
+    /// Returns the node's clock.
+    fn now(&self) -> LocalMicros;
+    /// Returns how many axes there are.
+    fn axis_count(&self) -> usize;
+    /// Returns whether a command can be executed here.
+    ///
+    /// # Errors
+    /// Why not.
+    fn check(&self, command: &Command) -> Result<(), CommandError>;
+    /// Returns how many more commands fit.
+    fn credit_commands(&self) -> usize;
+    /// Adds commands at the end; at most [`Host::credit_commands`] of them.
+    fn push(&mut self, commands: &[Command]);
+    /// Returns how many commands the queue has taken.
+    fn accepted_commands(&self) -> u64;
+    /// Returns how many of them have ended.
+    fn executed_commands(&self) -> u64;
+    /// Returns the exact position of an axis, steps.
+    fn position_steps(&self, axis: AxisId) -> i64;
+    /// Returns the speed of an axis, thousandths of a step per second.
+    fn speed_mhz(&self, axis: AxisId) -> i32;
+    /// Returns whether commands are being executed.
+    fn is_active(&self) -> bool;
+    /// Returns what the node does.
+    fn state(&self) -> NodeState;
+    /// Comes to rest on the path.
+    fn hold(&mut self);
+    /// Goes on after [`Host::hold`].
+    fn resume(&mut self);
+    /// Sets the speed of everything, percent of what was asked for.
+    ///
+    /// # Errors
+    /// The percentage is out of range.
+    fn set_speed_percent(&mut self, percent: u16) -> Result<(), CommandError>;
+    /// Stops at once and sets the latch; the script ends with this call.
+    fn emergency_stop(&mut self);
+    /// Returns the laser's power, percent.
+    fn laser_percent(&self) -> u8;
+    /// Returns the last lidar reading.
+    fn lidar(&self) -> LidarReading;
+    /// Returns whether an input is active, `None` if the node has none of this name.
+    fn input(&self, name: &str) -> Option<bool>;
+    /// Tells a line of text to whoever reads the node's log.
+    fn print(&mut self, line: &str);
+    /// Publishes JSON below the node's key.
+    ///
+    /// # Errors
+    /// [`Full`]: as much as may wait does so already.
+    fn publish(&mut self, suffix: &str, json: &str) -> Result<(), Full>;
+    /// Returns the stored script of this name.
+    fn stored(&self, name: &str) -> Option<&str>;
+}

@@ -1,0 +1,196 @@
+---@meta stepfleet
+-- What a script on a Stepfleet node can call, for editors that read LuaLS annotations.
+-- Put this file where the editor finds it (LuaLS: `workspace.library`); nodes do not need it.
+--
+-- Numbers have 32 bits on every node: integers wrap at 2147483647, floats have 7 digits.
+-- A function that cannot go on yet (queue full, sleep) lets the node work and returns later.
+
+---The number of a command in its job, from 1.
+---@alias CommandId integer
+
+---The shape of a ramp: either a jerk, or the first steps.
+---@class RampOptions
+---@field jerk? integer Jerk, steps/s³: an S-curve.
+---@field linear_steps? integer Steps of linearly growing acceleration.
+---@field jump_steps? integer Steps whose speed the move starts with.
+
+---What `node.status` returns.
+---@class NodeStatus
+---@field state "idle"|"ready"|"running"|"paused"|"stopped"|"fault"
+---@field busy boolean Whether commands are being executed.
+---@field queue_depth integer Commands that have not ended, with those that wait for `motor.execute`.
+---@field queue_free integer Commands that still fit.
+---@field laser_percent integer
+---@field lidar_mm? integer The last lidar reading.
+---@field now_ms integer See `node.now_ms`.
+---@field position integer[] Exact position of each axis, steps; the first one is `position[0]`.
+
+---Commands for the axes. They wait until `motor.execute`, until the queue is full of them, or until
+---the script returns; a script that fails forgets those that wait.
+motor = {}
+
+---`steps` pulses, `delay_us` apart, without a ramp.
+---@param axis integer From 0.
+---@param delay_us integer Time between steps, µs, from 1.
+---@param steps integer With sign, not 0.
+---@return CommandId
+function motor.queue_move(axis, delay_us, steps) end
+
+---Two moves, of axes 0 and 1, that start on the same tick.
+---@param delay1 integer
+---@param steps1 integer
+---@param delay2 integer
+---@param steps2 integer
+---@return CommandId
+function motor.queue_sync_move(delay1, steps1, delay2, steps2) end
+
+---All axes rest.
+---@param ms integer 0 to 86400000.
+---@return CommandId
+function motor.queue_pause(ms) end
+
+---A move with a ramp at both ends.
+---@param axis integer
+---@param steps integer
+---@param speed_hz integer Steps per second.
+---@param accel integer Steps per second².
+---@param options? RampOptions
+---@return CommandId
+function motor.queue_ramp(axis, steps, speed_hz, accel, options) end
+
+---A move to a position, with a ramp at both ends.
+---@param axis integer
+---@param position integer
+---@param speed_hz integer
+---@param accel integer
+---@param options? RampOptions
+---@return CommandId
+function motor.queue_ramp_to(axis, position, speed_hz, accel, options) end
+
+---All axes start and end together, straight in step space; lines that follow each other are joined
+---as fast as the corner allows.
+---@param steps integer[] One to four numbers, for axes 0 to 3.
+---@param speed_hz integer Of the axis with most steps.
+---@param accel integer
+---@param jerk? integer
+---@return CommandId
+function motor.queue_line(steps, speed_hz, accel, jerk) end
+
+---Names the present place of an axis, without motion.
+---@param axis integer
+---@param position integer
+---@return CommandId
+function motor.queue_set_position(axis, position) end
+
+---Finds the reference switch of an axis.
+---@param axis integer
+---@return CommandId
+function motor.queue_home(axis) end
+
+---Moves C to one of its named positions.
+---@param position integer 0 to 4.
+---@return CommandId
+function motor.queue_move_c(position) end
+
+---Moves D to one of its two ends.
+---@param on boolean
+---@return CommandId
+function motor.queue_move_d(on) end
+
+---Asks for a line in the node's log: where C and D are.
+---@return CommandId
+function motor.queue_status_cd() end
+
+---Begins to execute what is queued.
+function motor.execute() end
+
+---Stops at once, drops the queue, sets the latch and ends the script.
+function motor.emergency_stop() end
+
+---Whether commands are being executed.
+---@return boolean
+function motor.is_busy() end
+
+---Whether a command of this script has ended: its last pulse has left the pin.
+---@param id CommandId
+---@return boolean
+function motor.is_done(id) end
+
+---The exact position of an axis now, steps.
+---@param axis integer
+---@return number
+function motor.get_position(axis) end
+
+---The speed of an axis now, steps per second, with sign.
+---@param axis integer
+---@return number
+function motor.get_speed(axis) end
+
+---How many commands have not ended.
+---@return integer
+function motor.get_queue_depth() end
+
+---Comes to rest on the path, to go on later.
+function motor.hold() end
+
+---Goes on after `motor.hold`.
+function motor.resume() end
+
+---Changes the speed of ramps and lines, also of those under way.
+---@param percent integer Of what the commands ask for.
+function motor.set_speed_percent(percent) end
+
+laser = {}
+
+---Sets the laser's power when the commands before have ended.
+---@param power integer 0 to 100.
+---@return CommandId
+function laser.set_power(power) end
+
+lidar = {}
+
+---Reads the lidar when the commands before have ended, and waits for it. `nil` if none came in time.
+---@param timeout_ms? integer From when it was asked, 1000 if not given.
+---@return integer? mm
+function lidar.read(timeout_ms) end
+
+input = {}
+
+---Whether an input is active.
+---@param name string
+---@return boolean
+function input.read(name) end
+
+---The node.
+---@class node
+---@field name string Its name.
+node = {}
+
+---Microseconds since the node's start. Wraps: differences are right up to 35 minutes.
+---@return integer
+function node.now_us() end
+
+---Milliseconds since the node's start. Wraps after 24 days.
+---@return integer
+function node.now_ms() end
+
+---@return NodeStatus
+function node.status() end
+
+---Publishes a value as JSON on `fleet/node/NODE/data/SUFFIX`.
+---@param suffix string Of a-z, 0-9, _ and -.
+---@param value any A number, text, boolean, nil, or a table of these: a list or one with names.
+function node.publish(suffix, value) end
+
+---Calls a script that is stored on the node; it finds `args` in `...`.
+---@param name string
+---@param args? any
+---@return any ...
+function node.call(name, args) end
+
+---Waits.
+---@param ms integer
+function sleep(ms) end
+
+---Executes what is queued and waits until everything has ended.
+function wait_idle() end
