@@ -213,6 +213,37 @@ async fn an_operator_works_over_tls_with_a_node_that_has_its_own_password() {
             break;
         }
     }
+    // A stored script is put, read, and called.
+    let key = "fleet/node/left/script/far";
+    let text = "motor.queue_move(0, 200, 10) node.publish('x', 1) return (...).by";
+    put(&alice, key, text).await;
+    loop {
+        let replies = in_time(alice.get(key).timeout(PATIENCE))
+            .await
+            .expect("asked");
+        let reply = in_time(replies.recv_async()).await.ok();
+        if reply.is_some_and(|reply| reply.result().is_ok()) {
+            break;
+        }
+    }
+    let data = in_time(alice.declare_subscriber("fleet/node/*/data/**")).await;
+    let data = data.expect("declared");
+    let call = json!({"id": "two", "call": "far", "args": {"by": 7}});
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&call)).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    loop {
+        let sample = in_time(follow.recv_async()).await.expect("a record");
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        if record.job.as_str() == "two" && record.state.is_final() {
+            assert_eq!(record.state.as_str(), "succeeded", "{record:?}");
+            let result = record.result.as_ref().expect("a result");
+            assert_eq!(result.returned, Some(json!(7)), "{record:?}");
+            break;
+        }
+    }
+    let sample = in_time(data.recv_async()).await.expect("data");
+    assert_eq!(sample.key_expr().as_str(), "fleet/node/left/data/x");
     in_time(left.shutdown()).await;
     in_time(plant.service.shutdown())
         .await

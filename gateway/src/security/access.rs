@@ -2,9 +2,9 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases | states, statuses, records, logs |
+//! | operator | jobs, cancels, stops, releases, stored scripts | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
-//! | node | its own status, ack, clock, start, log | its own orders, and every stop |
+//! | node | its own status, ack, clock, start, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
 //! A node cannot speak as another, whatever key it uses: rules go by the name under which it
@@ -16,7 +16,8 @@ use keys::{Keys, NodeId, NodeTopic};
 use serde_json::{Value, json};
 
 /// What a node says.
-const SAID: [NodeTopic; 5] = [
+const SAID: [NodeTopic; 6] = [
+    NodeTopic::Report,
     NodeTopic::Status,
     NodeTopic::Ack,
     NodeTopic::Clock,
@@ -73,6 +74,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     let alive = each(&[NodeTopic::Alive]);
     let mut followed = each(&FOLLOWED);
     followed.extend(jobs.clone());
+    followed.push(format!("{prefix}/node/*/{}/**", NodeTopic::Data.suffix()));
     rules.add("follow", &["egress"], &["put"], followed);
     let asks = [
         "declare_subscriber",
@@ -93,7 +95,13 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
         format!("{prefix}/group/*/job"),
         format!("{prefix}/job/*/cancel"),
     ]);
-    rules.add("work", &["ingress"], &["put", "query"], work.clone());
+    work.push(format!("{prefix}/node/*/script/*"));
+    rules.add(
+        "work",
+        &["ingress"],
+        &["put", "delete", "query"],
+        work.clone(),
+    );
     rules.add("receipts", &["egress"], &["reply"], work);
 
     let looks = ["follow", "ask", "alive", "read", "answers", "stop"];
@@ -171,17 +179,34 @@ impl Rules {
         // A stop on a wild key is heard under that key.
         let mut heard = own(&HEARD);
         heard.push(keys.every_node(NodeTopic::Stop).to_string());
-        let ids = ["says", "lives", "listens", "hears"].map(|verb| format!("{name}-{verb}"));
-        let [says, lives, listens, hears] = &ids;
-        self.add(says, &["ingress"], &["put"], own(&SAID));
+        // Stored scripts: put, deleted and read on keys below one of its own; by a wild key too.
+        let prefix = keys.prefix();
+        let scripts = vec![format!("{prefix}/node/{name}/script/*")];
+        let asked = vec![format!("{prefix}/node/*/script/*")];
+        heard.extend(asked.clone());
+        let mut said = own(&SAID);
+        said.push(format!("{}/**", keys.node(name, NodeTopic::Data)));
+        let mut listened = own(&HEARD);
+        listened.extend(scripts.clone());
+        let verbs = ["says", "lives", "listens", "hears", "keeps", "asked"];
+        let ids = verbs.map(|verb| format!("{name}-{verb}"));
+        let [says, lives, listens, hears, keeps, asks] = &ids;
+        self.add(
+            keeps,
+            &["ingress"],
+            &["declare_queryable", "reply"],
+            scripts,
+        );
+        self.add(asks, &["egress"], &["query"], asked);
+        self.add(says, &["ingress"], &["put"], said);
         self.add(
             lives,
             &["ingress"],
             &["liveliness_token"],
             own(&[NodeTopic::Alive]),
         );
-        self.add(listens, &["ingress"], &["declare_subscriber"], own(&HEARD));
-        self.add(hears, &["egress"], &["put"], heard);
+        self.add(listens, &["ingress"], &["declare_subscriber"], listened);
+        self.add(hears, &["egress"], &["put", "delete"], heard);
         ids.into()
     }
 }
