@@ -40,7 +40,15 @@ fn fleet(line: &[&str]) -> Ran {
 
 fn verbs() -> Vec<&'static str> {
     let mut verbs = vec![
-        "serve", "nodes", "submit", "jobs", "watch", "cancel", "stop", "release",
+        "serve",
+        "nodes",
+        "submit",
+        "jobs",
+        "watch",
+        "cancel",
+        "stop",
+        "release",
+        "provision",
     ];
     if cfg!(feature = "demo") {
         verbs.push("demo");

@@ -12,7 +12,7 @@ const ALLOWED: [(&str, &[&str]); 10] = [
     ("provision", &["keys", "motion"]),
     ("update", &["keys"]),
     ("emulator", &["keys", "motion", "pico", "node"]),
-    ("gateway", &["keys", "emulator"]),
+    ("gateway", &["keys", "provision", "emulator"]),
     ("tests", &["keys", "node", "emulator", "gateway"]),
 ];
 

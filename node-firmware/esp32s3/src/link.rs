@@ -3,12 +3,7 @@
 
 use crate::plan::{LINK, OUTGOING, Parcel, STOP, WAKE, now};
 use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
-use core::{
-    cell::RefCell,
-    future::poll_fn,
-    pin::pin,
-    sync::atomic::Ordering,
-};
+use core::{cell::RefCell, future::poll_fn, pin::pin, sync::atomic::Ordering};
 use embassy_net::{IpAddress, IpEndpoint, Stack, dns::DnsQueryType, tcp::TcpSocket};
 use embassy_time::{Instant, Timer};
 use embedded_io_async::{ErrorType, Read, Write};

@@ -53,11 +53,16 @@ esp_bootloader_esp_idf::esp_app_desc!();
 const FIRMWARE: [u8; 3] = [0, 1, 0];
 
 /// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM.
+#[cfg(feature = "psram")]
 const HEAP_BYTES: usize = 96 * 1024;
+/// Without PSRAM it is what is left beside the axes: tight, for an image that checks the link.
+#[cfg(not(feature = "psram"))]
+const HEAP_BYTES: usize = 64 * 1024;
 
-/// Stack of the second core: planning a look-ahead of lines is the deepest.
+/// Stack of the second core: the streamer's 16 KiB are put together on it, twice over, and planning
+/// a look-ahead of lines takes some 10 KiB.
 #[cfg(feature = "dual")]
-const STACK_BYTES: usize = 24 * 1024;
+const STACK_BYTES: usize = 48 * 1024;
 
 macro_rules! keep {
     ($type:ty, $value:expr) => {{
@@ -102,7 +107,7 @@ fn keys_of(record: &Record) -> Keys {
 }
 
 #[embassy_executor::task]
-async fn plan_task(planning: Planning<BoardOutputs>) {
+async fn plan_task(planning: &'static mut Planning<BoardOutputs>) {
     planning.run().await;
 }
 
@@ -110,7 +115,7 @@ async fn plan_task(planning: Planning<BoardOutputs>) {
 async fn main(spawner: Spawner) -> ! {
     let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
     let parts = esp_hal::init(config);
-    panic::outputs_off();
+    panic::pins_off();
     esp_alloc::heap_allocator!(size: HEAP_BYTES);
     let report = panic::take_report();
     #[cfg(feature = "psram")]
@@ -149,13 +154,15 @@ async fn main(spawner: Spawner) -> ! {
             #[cfg(feature = "counters")]
             counter_parts,
         );
-        let planning = Planning {
+        // Some 100 KiB: made where it stays, not on the stack.
+        static PLANNING: StaticCell<Planning<BoardOutputs>> = StaticCell::new();
+        let planning = PLANNING.init_with(|| Planning {
             node: Node::new(ring, backend, outputs, config),
             incoming: from_network,
             outgoing: to_network,
             stop_pin: StopPin::new(),
             report,
-        };
+        });
         let executor = keep!(InterruptExecutor<2>, InterruptExecutor::new(plan_interrupt));
         // Below the refill interrupt.
         let spawner = executor.start(Priority::Priority1);

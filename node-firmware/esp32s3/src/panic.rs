@@ -36,7 +36,12 @@ fn put(index: usize, word: u32) {
     // SAFETY: a volatile write of one word within the array. Writers are the panic handler, when
     // nothing else runs on its core any more, and the planning task, whose events are beyond what
     // the checksum covers: a torn event is a wrong line in a log, no more.
-    unsafe { addr_of_mut!(KEPT).cast::<u32>().add(index).write_volatile(word) };
+    unsafe {
+        addr_of_mut!(KEPT)
+            .cast::<u32>()
+            .add(index)
+            .write_volatile(word)
+    };
 }
 
 fn get(index: usize) -> u32 {
@@ -48,11 +53,17 @@ fn checksum() -> u32 {
     (2..EVENTS_AT).fold(MAGIC, |sum, index| sum.rotate_left(5) ^ get(index))
 }
 
-/// Switches everything off that moves or burns.
+/// Switches drivers and laser off.
 #[ram]
-pub(crate) fn outputs_off() {
+pub(crate) fn pins_off() {
     crate::rmt::set_pin(ENABLE_PIN, false);
     crate::rmt::set_pin(LASER_PIN, false);
+}
+
+/// Switches everything off that moves or burns.
+#[ram]
+fn outputs_off() {
+    pins_off();
     let mut chip = crate::rmt::Chip;
     for place in PLACES {
         chip.stop(place.channel);
@@ -138,7 +149,11 @@ pub(crate) fn take_report() -> Option<Report> {
         let mut reason = heapless::String::new();
         for index in 0..used {
             let byte = get(REASON_AT + index / 4).to_le_bytes()[index % 4];
-            let _ = reason.push(if byte.is_ascii() { char::from(byte) } else { '?' });
+            let _ = reason.push(if byte.is_ascii() {
+                char::from(byte)
+            } else {
+                '?'
+            });
         }
         let count = (get(3) as usize).min(FRAMES);
         let event = |slot: usize| (get(EVENTS_AT + 2 * slot), get(EVENTS_AT + 2 * slot + 1));

@@ -10,7 +10,11 @@
 //! A full queue is an answer: what does not fit is dropped by core 0, as if the network had lost it,
 //! and the gateway sends it again. A stop has its own word and is never dropped.
 
-use crate::{panic, rmt::RmtBackend, stop_pin::StopPin};
+use crate::{
+    panic,
+    rmt::{RmtBackend, WANTED},
+    stop_pin::StopPin,
+};
 use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, Ordering};
 use embassy_futures::select::select;
 use embassy_sync::{blocking_mutex::raw::CriticalSectionRawMutex, signal::Signal};
@@ -44,8 +48,6 @@ pub(crate) struct Parcel {
 pub(crate) static WAKE: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 /// There is something for the network to send.
 pub(crate) static OUTGOING: Signal<CriticalSectionRawMutex, ()> = Signal::new();
-/// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
-pub(crate) static WANTED: AtomicBool = AtomicBool::new(false);
 /// A stop that came over the network: 0 none, 1 by the ramp, 2 at once.
 pub(crate) static STOP: AtomicU8 = AtomicU8::new(0);
 /// Changes of the link: odd is up.
@@ -73,7 +75,7 @@ pub(crate) struct Planning<O: Outputs> {
 
 impl<O: Outputs> Planning<O> {
     /// Runs the node for ever.
-    pub(crate) async fn run(mut self) -> ! {
+    pub(crate) async fn run(&mut self) -> ! {
         self.tell_report();
         let mut link = 0;
         let mut rssi_dbm = 0;
@@ -91,7 +93,8 @@ impl<O: Outputs> Planning<O> {
             let measured_dbm = RSSI_DBM.load(Ordering::Relaxed);
             if core::mem::replace(&mut rssi_dbm, measured_dbm) != measured_dbm {
                 let rssi_dbm = i8::try_from(measured_dbm).ok().filter(|dbm| *dbm != 0);
-                self.node.handle(now(), Inbound::SignalStrength { rssi_dbm });
+                self.node
+                    .handle(now(), Inbound::SignalStrength { rssi_dbm });
             }
             self.node.poll(now());
             self.give_outbound();
@@ -177,7 +180,9 @@ impl<O: Outputs> Planning<O> {
             .tell(now(), format_args!("panic: {}", report.reason));
         self.node
             .tell(now(), format_args!("stack: {:08x?}", &report.frames[..]));
-        self.node
-            .tell(now(), format_args!("events (ms, kind): {:?}", &report.events[..]));
+        self.node.tell(
+            now(),
+            format_args!("events (ms, kind): {:?}", &report.events[..]),
+        );
     }
 }

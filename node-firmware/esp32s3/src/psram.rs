@@ -10,17 +10,15 @@ use keys::command::COMMAND_WORDS;
 #[cfg(feature = "psram")]
 pub(crate) const RING_COMMANDS: usize = 16_384;
 
-/// Commands that the ring holds in internal RAM: 16 KiB. The status tells it as credit.
-pub(crate) const SMALL_RING_COMMANDS: usize = 512;
+/// Commands that the ring holds in internal RAM: 8 KiB. The status tells it as credit.
+pub(crate) const SMALL_RING_COMMANDS: usize = 256;
 
 static SMALL_RING: [AtomicU32; SMALL_RING_COMMANDS * COMMAND_WORDS] =
     [const { AtomicU32::new(0) }; SMALL_RING_COMMANDS * COMMAND_WORDS];
 
 /// Takes the PSRAM: ring first, the rest becomes heap.
 #[cfg(feature = "psram")]
-pub(crate) fn ring_memory(
-    psram: esp_hal::peripherals::PSRAM<'static>,
-) -> &'static [AtomicU32] {
+pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'static [AtomicU32] {
     use esp_alloc::{HeapRegion, MemoryCapability};
     use esp_hal::psram::{Psram, PsramConfig};
 

@@ -6,7 +6,11 @@
 use crate::board::{
     AXES, DIRECTION_PINS, PLACES, PREFETCH_WORDS, RMT_DIVIDER, RMT_RAM, STEP_PINS, pin,
 };
-use core::{cell::UnsafeCell, mem::MaybeUninit, sync::atomic::Ordering};
+use core::{
+    cell::UnsafeCell,
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, Ordering},
+};
 use esp_hal::{
     gpio::{Flex, InputConfig, Level, OutputConfig},
     handler,
@@ -229,6 +233,9 @@ pub(crate) fn set_pin(number: u8, high: bool) {
     }
 }
 
+/// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
+pub(crate) static WANTED: AtomicBool = AtomicBool::new(false);
+
 struct Shared(UnsafeCell<MaybeUninit<Streamer<Chip, AXES>>>);
 
 // SAFETY: it is used by one core only, by its interrupt and by its planning task, and never by both
@@ -246,7 +253,7 @@ fn refill() {
     // and the task does not use it.
     let streamer = unsafe { (*STREAMER.0.get()).assume_init_mut() };
     if streamer.on_interrupt().wake {
-        crate::plan::WANTED.store(true, Ordering::Release);
+        WANTED.store(true, Ordering::Release);
     }
 }
 
@@ -302,15 +309,19 @@ impl RmtBackend {
             let unit = &counters.unit0;
             unit.channel0.set_edge_signal(x_in);
             unit.channel0.set_ctrl_signal(x_dir);
-            unit.channel0.set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
-            unit.channel0.set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
+            unit.channel0
+                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
+            unit.channel0
+                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
             unit.clear();
             unit.resume();
             let unit = &counters.unit1;
             unit.channel0.set_edge_signal(y_in);
             unit.channel0.set_ctrl_signal(y_dir);
-            unit.channel0.set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
-            unit.channel0.set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
+            unit.channel0
+                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
+            unit.channel0
+                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
             unit.clear();
             unit.resume();
             core::mem::forget(counters);

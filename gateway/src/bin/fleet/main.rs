@@ -8,6 +8,7 @@ mod args;
 mod demo;
 mod follow;
 mod link;
+mod provision;
 mod serve;
 mod show;
 mod stop;
@@ -48,6 +49,7 @@ async fn main() -> ExitCode {
 async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
     match verb {
         Verb::Serve(serve) => return serve::serve(common, serve).await,
+        Verb::Provision(line) => return provision::provision(common, line).await,
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
         _ => {}
@@ -69,7 +71,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             stop::stop(&link, &stop.pattern, mode, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) => unreachable!("done above"),
+        Verb::Serve(_) | Verb::Provision(_) => unreachable!("done above"),
         #[cfg(feature = "demo")]
         Verb::Demo => unreachable!("done above"),
     };
