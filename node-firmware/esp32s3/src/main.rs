@@ -31,6 +31,7 @@ use crate::{
     serial::RecordFlash,
     stop_pin::StopPin,
 };
+use core::sync::atomic::AtomicU32;
 use embassy_executor::Spawner;
 use embassy_net::StackResources;
 use esp_hal::{
@@ -62,7 +63,10 @@ const HEAP_BYTES: usize = 64 * 1024;
 /// Stack of the second core: the streamer's 16 KiB are put together on it, twice over, and planning
 /// a look-ahead of lines takes some 10 KiB.
 #[cfg(feature = "dual")]
-const STACK_BYTES: usize = 48 * 1024;
+const STACK_BYTES: usize = 64 * 1024;
+
+/// The node on this board.
+type BoardNode = Node<'static, RmtBackend, BoardOutputs>;
 
 macro_rules! keep {
     ($type:ty, $value:expr) => {{
@@ -106,8 +110,21 @@ fn keys_of(record: &Record) -> Keys {
     Keys::new(&record.prefix).unwrap_or_default()
 }
 
+/// Makes the node where it stays: it has some 100 KiB.
+#[inline(never)]
+fn made_node(
+    ring: &'static [AtomicU32],
+    backend: RmtBackend,
+    outputs: BoardOutputs,
+    config: NodeConfig,
+) -> &'static mut BoardNode {
+    static NODE: StaticCell<BoardNode> = StaticCell::new();
+    NODE.uninit()
+        .write(Node::new(ring, backend, outputs, config))
+}
+
 #[embassy_executor::task]
-async fn plan_task(planning: &'static mut Planning<BoardOutputs>) {
+async fn plan_task(planning: Planning<BoardOutputs>) {
     planning.run().await;
 }
 
@@ -154,15 +171,13 @@ async fn main(spawner: Spawner) -> ! {
             #[cfg(feature = "counters")]
             counter_parts,
         );
-        // Some 100 KiB: made where it stays, not on the stack.
-        static PLANNING: StaticCell<Planning<BoardOutputs>> = StaticCell::new();
-        let planning = PLANNING.init_with(|| Planning {
-            node: Node::new(ring, backend, outputs, config),
+        let planning = Planning {
+            node: made_node(ring, backend, outputs, config),
             incoming: from_network,
             outgoing: to_network,
             stop_pin: StopPin::new(),
             report,
-        });
+        };
         let executor = keep!(InterruptExecutor<2>, InterruptExecutor::new(plan_interrupt));
         // Below the refill interrupt.
         let spawner = executor.start(Priority::Priority1);

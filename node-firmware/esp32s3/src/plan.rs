@@ -65,8 +65,8 @@ pub(crate) fn now() -> LocalMicros {
 }
 
 /// The planning task.
-pub(crate) struct Planning<O: Outputs> {
-    pub(crate) node: Node<'static, RmtBackend, O>,
+pub(crate) struct Planning<O: Outputs + 'static> {
+    pub(crate) node: &'static mut Node<'static, RmtBackend, O>,
     pub(crate) incoming: Consumer<'static, Parcel>,
     pub(crate) outgoing: Producer<'static, Outbound>,
     pub(crate) stop_pin: StopPin,
@@ -75,7 +75,7 @@ pub(crate) struct Planning<O: Outputs> {
 
 impl<O: Outputs> Planning<O> {
     /// Runs the node for ever.
-    pub(crate) async fn run(&mut self) -> ! {
+    pub(crate) async fn run(mut self) -> ! {
         self.tell_report();
         let mut link = 0;
         let mut rssi_dbm = 0;
