@@ -41,8 +41,18 @@ fn fleet(line: &[&str]) -> Ran {
 
 fn verbs() -> Vec<&'static str> {
     let mut verbs = vec![
-        "serve", "config", "init", "users", "nodes", "submit", "jobs", "watch", "cancel", "stop",
+        "serve",
+        "config",
+        "init",
+        "users",
+        "nodes",
+        "submit",
+        "jobs",
+        "watch",
+        "cancel",
+        "stop",
         "release",
+        "provision",
     ];
     if cfg!(feature = "demo") {
         verbs.push("demo");

@@ -35,6 +35,7 @@ pub mod status;
 pub mod stop;
 pub mod topics;
 pub mod units;
+pub mod update;
 pub mod version;
 
 pub use batch::{BatchAck, BatchHeader, BatchReader, Order, QueueId, Refusal, Verdict};

@@ -73,6 +73,8 @@ impl FaultCode {
     pub const UNDERRUN: Self = Self(202);
     /// The planner came too late: the axes stood still in the middle of a ramp or a path.
     pub const PLAN_LATE: Self = Self(204);
+    /// The channels could not be started when it was ordered; nothing was played.
+    pub const START_LATE: Self = Self(205);
     /// Ledger and pulse counter disagree.
     pub const COUNT_MISMATCH: Self = Self(203);
     /// An axis came to a limit, or was told to go beyond one.
@@ -93,6 +95,7 @@ impl FaultCode {
             Self::REFILL_LATE => "pulse refill too late",
             Self::UNDERRUN => "queue ran dry in the middle of a job",
             Self::PLAN_LATE => "planner too late in the middle of a path",
+            Self::START_LATE => "start too late, nothing was played",
             Self::COUNT_MISMATCH => "position and pulse counter disagree",
             Self::LIMIT => "an axis at its limit",
             Self::HOMING => "homing failed",

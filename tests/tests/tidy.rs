@@ -83,7 +83,15 @@ fn every_dependency_has_its_line_and_its_reason_in_the_workspace_table() {
     for member in ["keys", "gateway", "dashboard", "tests"] {
         manifests.push(root().join(member));
     }
-    for member in ["motion", "pico", "node", "emulator"] {
+    for member in [
+        "motion",
+        "pico",
+        "node",
+        "rmt",
+        "provision",
+        "update",
+        "emulator",
+    ] {
         manifests.push(root().join("node-firmware").join(member));
     }
     for folder in manifests {

@@ -5,7 +5,9 @@
 use crate::{
     encoder::{Encoder, Fill, Rewound},
     ledger::Ledger,
-    limits::{LOW_WATER_TICKS, SEGMENTS_PER_COMMAND},
+    limits::{
+        LOW_WATER_TICKS, LOW_WORD_TICKS_MAX, REFILL_WORDS, SEGMENTS_MAX, SEGMENTS_PER_COMMAND,
+    },
     profile::{AxisProfile, Timing},
     segment::{Direction, Segment, SegmentRing},
 };
@@ -71,6 +73,14 @@ impl Axis {
     /// Returns whether the planner should be called: little is left to encode.
     pub fn wants_planning(&self) -> bool {
         !self.has_ended() && self.ahead_ticks() < LOW_WATER_TICKS
+    }
+
+    /// Returns whether a refill leaves the planner a choice: a half block takes from more than
+    /// there is in it. A back end may then refill between two looks of the planner.
+    pub fn can_spare(&self) -> bool {
+        let segments = SEGMENTS_MAX - self.segments.room();
+        self.ahead_ticks() > 2 * REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX
+            || segments > 2 * REFILL_WORDS
     }
 
     /// Returns what is planned and not encoded.

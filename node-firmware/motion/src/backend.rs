@@ -23,6 +23,12 @@ pub trait StepBackend {
     /// Gives the axes, with every refill held off.
     fn axes(&mut self) -> &mut [Axis];
 
+    /// Returns how long [`StepBackend::start`] may take from its `now` until the hardware runs, with
+    /// the planning before it, ticks. The lead-in is longer by this.
+    fn start_ticks(&self) -> u64 {
+        0
+    }
+
     /// Loads every channel with its lead-in of `lead_ticks` and the words behind it, and starts all
     /// of them at `now`.
     fn start(&mut self, now: Ticks, lead_ticks: u64);

@@ -328,6 +328,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             backend.axes().len() >= config.axis_count,
             "the back end has fewer channels than axes"
         );
+        let start_ticks = backend.start_ticks();
         for (axis, profile) in backend.axes().iter_mut().zip(config.axes) {
             *axis = crate::Axis::new(profile);
         }
@@ -361,7 +362,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             backend,
             axis_count: config.axis_count,
             timing,
-            lead_ticks: lead_ticks.max().expect("there is an axis"),
+            lead_ticks: start_ticks + lead_ticks.max().expect("there is an axis"),
             planner: Planner::new(),
             marks: Marks::new(),
             phase: Phase::Rest,

@@ -232,17 +232,17 @@ const fn local_from_ticks(at: Ticks) -> LocalMicros {
 impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Boots: an empty queue over `memory` (8 words a command), positions at 0, no latch, no link.
     pub fn new(memory: &'m [AtomicU32], backend: B, outputs: O, config: NodeConfig) -> Self {
-        let motion = Motion::new(CommandRing::new(memory), backend, config.motion.clone());
-        let ring_commands = motion.credit_commands();
+        // Motion is large: it is made where it stays as far as the compiler can.
+        let motion_config = config.motion.clone();
         let mut node = Self {
             queue: QueueId {
                 boot: config.boot,
                 flush: 0,
             },
             config,
-            motion,
+            motion: Motion::new(CommandRing::new(memory), backend, motion_config),
             outputs,
-            ring_commands,
+            ring_commands: 0,
             now: LocalMicros(0),
             phase: Phase::Open,
             job: None,
@@ -253,7 +253,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             link_gone_at: Some(LocalMicros(0)),
             link_loss_settled: false,
             link_loss_outcome: None,
-            credit_told: ring_commands,
+            credit_told: 0,
             status_due: false,
             status_told_at: LocalMicros(0),
             state_told: NodeState::Idle,
@@ -269,6 +269,8 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             outbox: Outbox::new(),
             trace: Trace::new(),
         };
+        node.ring_commands = node.motion.credit_commands();
+        node.credit_told = node.ring_commands;
         let [major, minor, patch] = node.config.firmware;
         node.log(
             LocalMicros(0),

@@ -88,6 +88,11 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         self.log(now, format_args!("fault {}: {}", code.0, code.as_str()));
     }
 
+    /// Queues one line for the topic `log`: what the node's hardware has to tell.
+    pub fn tell(&mut self, now: LocalMicros, text: fmt::Arguments<'_>) {
+        self.log(now, text);
+    }
+
     /// Queues one line for the topic `log`.
     pub(crate) fn log(&mut self, now: LocalMicros, text: fmt::Arguments<'_>) {
         if !self.outbox.push_line(text) {

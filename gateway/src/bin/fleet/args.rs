@@ -166,6 +166,15 @@ Examples:
     #[command(after_help = "Examples:\n  fleet release left\n  fleet release")]
     Release(Release),
 
+    /// Tell a node on a serial port its name, network and router; without options show what it was
+    /// told.
+    #[command(after_help = "\
+Examples:
+  fleet provision /dev/ttyACM0 --name left --wifi shop --wifi-password-file wifi.txt \\
+      --router tcp/10.0.0.1:7447 --restart
+  fleet provision /dev/ttyACM0")]
+    Provision(crate::provision::Provision),
+
     /// Run a gateway and five emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
     Demo,

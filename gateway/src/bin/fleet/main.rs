@@ -8,6 +8,7 @@ mod args;
 mod demo;
 mod follow;
 mod link;
+mod provision;
 mod secure;
 mod serve;
 mod show;
@@ -52,6 +53,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Config(config) => return serve::print_config(config),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
+        Verb::Provision(line) => return provision::provision(common, line).await,
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
         _ => {}
@@ -73,7 +75,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             stop::stop(&link, &stop.pattern, mode, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) => {
+        Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) | Verb::Provision(_) => {
             unreachable!("done above")
         }
         #[cfg(feature = "demo")]

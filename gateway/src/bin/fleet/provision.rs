@@ -1,0 +1,221 @@
+//! `fleet provision`: tells a node on a serial port its name, network and router.
+
+use crate::{args::Common, link::Failure};
+use clap::Args;
+use keys::NodeId;
+use provision::{
+    Host, Reply, Request, Setting,
+    dialogue::Shown,
+    frame::FRAME_BYTES_MAX,
+    record::{Login, Network},
+};
+use serialport::SerialPort;
+use std::{
+    io::ErrorKind,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+/// Speed of the line; a USB port takes any.
+const BAUD: u32 = 115_200;
+
+/// Longest wait for a byte before the clock is looked at.
+const LOOK: Duration = Duration::from_millis(20);
+
+#[derive(Debug, Args)]
+pub(crate) struct Provision {
+    /// Serial port of the node, for example /dev/ttyACM0.
+    #[arg(value_name = "PORT")]
+    port: PathBuf,
+
+    /// Name of the node.
+    #[arg(long, value_name = "NAME", value_parser = NodeId::new)]
+    name: Option<NodeId>,
+
+    /// A WiFi network; what the node knows already stays known.
+    #[arg(long, value_name = "SSID")]
+    wifi: Option<String>,
+
+    /// File with its password; a newline at its end does not count. Without it the network is open.
+    #[arg(long, value_name = "FILE", requires = "wifi")]
+    wifi_password_file: Option<PathBuf>,
+
+    /// Where the router or gateway is.
+    #[arg(long, value_name = "tcp/HOST:PORT")]
+    router: Option<String>,
+
+    /// File with the public key (ed25519, 64 hexadecimal digits) that firmware must be signed with.
+    #[arg(long, value_name = "FILE")]
+    update_key_file: Option<PathBuf>,
+
+    /// Forget everything that the node was told before.
+    #[arg(long)]
+    clear: bool,
+
+    /// Boot the node afterwards, so that it takes effect.
+    #[arg(long)]
+    restart: bool,
+}
+
+/// Does it.
+pub(crate) async fn provision(common: &Common, line: &Provision) -> Result<(), Failure> {
+    let settings = line.settings(common)?;
+    let (port, restart, json) = (line.port.clone(), line.restart, common.json);
+    let talk = move || talk(&port, settings, restart, json);
+    tokio::task::spawn_blocking(talk)
+        .await
+        .map_err(|error| Failure::Failed(Some(error.to_string())))?
+}
+
+impl Provision {
+    fn settings(&self, common: &Common) -> Result<Vec<Setting>, Failure> {
+        let mut settings = Vec::new();
+        if self.clear {
+            settings.push(Setting::Clear);
+        }
+        settings.extend(self.name.map(Setting::Name));
+        if let Some(ssid) = &self.wifi {
+            let password = match &self.wifi_password_file {
+                Some(file) => secret(file, "--wifi-password-file")?,
+                None => String::new(),
+            };
+            settings.push(Setting::Network(Network {
+                ssid: short(ssid, "--wifi")?,
+                password: short(&password, "--wifi-password-file")?,
+            }));
+        }
+        if let Some(router) = &self.router {
+            settings.push(Setting::Router(short(router, "--router")?));
+        }
+        if let (Some(user), Some(file)) = (&common.user, &common.password_file) {
+            settings.push(Setting::Login(Some(Login {
+                user: short(user, "--user")?,
+                password: short(&secret(file, "--password-file")?, "--password-file")?,
+            })));
+        }
+        if common.prefix.prefix() != keys::key::PREFIX_DEFAULT {
+            settings.push(Setting::Prefix(short(common.prefix.prefix(), "--prefix")?));
+        }
+        if let Some(file) = &self.update_key_file {
+            let text = secret(file, "--update-key-file")?;
+            let key = key_from_hex(&text).ok_or_else(|| {
+                Failure::Usage("--update-key-file: 64 hexadecimal digits are wanted".into())
+            })?;
+            settings.push(Setting::UpdateKey(Some(key)));
+        }
+        Ok(settings)
+    }
+}
+
+fn secret(file: &Path, option: &str) -> Result<String, Failure> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|error| Failure::Usage(format!("{option} {}: {error}", file.display())))?;
+    Ok(text.trim_end_matches(['\r', '\n']).to_owned())
+}
+
+fn short<const N: usize>(text: &str, option: &str) -> Result<heapless::String<N>, Failure> {
+    let too_long = |_| Failure::Usage(format!("{option}: longer than {N} bytes"));
+    heapless::String::try_from(text).map_err(too_long)
+}
+
+fn key_from_hex(text: &str) -> Option<[u8; 32]> {
+    let text = text.trim();
+    if text.len() != 64 || !text.is_ascii() {
+        return None;
+    }
+    let mut key = [0; 32];
+    for (index, byte) in key.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).ok()?;
+    }
+    Some(key)
+}
+
+fn talk(port: &Path, settings: Vec<Setting>, restart: bool, json: bool) -> Result<(), Failure> {
+    let name = port.to_string_lossy();
+    let mut port = serialport::new(name.as_ref(), BAUD)
+        .timeout(LOOK)
+        .open()
+        .map_err(|error| Failure::Connection(format!("{name}: {error}")))?;
+    let Reply::Hello { firmware, .. } = ask(&mut *port, Request::Hello)? else {
+        return Err(unexpected());
+    };
+    if !settings.is_empty() {
+        // What somebody else began on this line is not ours.
+        ask(&mut *port, Request::Abandon)?;
+        for setting in settings {
+            ask(&mut *port, Request::Set(setting))?;
+        }
+        ask(&mut *port, Request::Commit)?;
+    }
+    let Reply::Record(shown) = ask(&mut *port, Request::Show)? else {
+        return Err(unexpected());
+    };
+    show(&shown, firmware, json);
+    if restart {
+        ask(&mut *port, Request::Restart)?;
+    }
+    Ok(())
+}
+
+fn unexpected() -> Failure {
+    Failure::Connection(provision::HostError::Answer.to_string())
+}
+
+fn ask(port: &mut dyn SerialPort, request: Request) -> Result<Reply, Failure> {
+    let mut host = Host::new(request);
+    let begun = Instant::now();
+    loop {
+        let now_us = u64::try_from(begun.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let mut out = [0; FRAME_BYTES_MAX + 2];
+        let count = host
+            .poll_transmit(now_us, &mut out)
+            .map_err(|error| Failure::Connection(error.to_string()))?;
+        if let Some(count) = count {
+            port.write_all(&out[..count])?;
+        }
+        let mut bytes = [0; 256];
+        let count = match port.read(&mut bytes) {
+            Ok(count) => count,
+            Err(error) if error.kind() == ErrorKind::TimedOut => 0,
+            Err(error) => return Err(error.into()),
+        };
+        let reply = host
+            .handle_bytes(&bytes[..count])
+            .map_err(|error| Failure::Failed(Some(error.to_string())))?;
+        if let Some(reply) = reply {
+            return Ok(reply);
+        }
+    }
+}
+
+fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
+    let [major, minor, patch] = firmware;
+    let networks: Vec<_> = shown
+        .networks
+        .iter()
+        .map(heapless::String::as_str)
+        .collect();
+    if json {
+        let line = serde_json::json!({
+            "firmware": format!("{major}.{minor}.{patch}"),
+            "node": shown.name,
+            "networks": networks,
+            "router": shown.router.as_str(),
+            "login": shown.has_login,
+            "axes": shown.axes,
+            "update_key": shown.has_update_key,
+        });
+        println!("{line}");
+        return;
+    }
+    let said = |set: bool| if set { "set" } else { "none" };
+    let name = shown
+        .name
+        .map_or("none".to_owned(), |name| name.to_string());
+    println!("firmware    {major}.{minor}.{patch}");
+    println!("name        {name}");
+    println!("networks    {}", networks.join(", "));
+    println!("router      {}", shown.router);
+    println!("login       {}", said(shown.has_login));
+    println!("update key  {}", said(shown.has_update_key));
+}

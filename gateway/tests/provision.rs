@@ -1,0 +1,192 @@
+//! `fleet provision` end to end: the program on one end of a pseudo-terminal, the node's side of
+//! the dialogue with a flash in memory on the other.
+#![cfg(unix)]
+
+use assert_cmd::Command;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use provision::{Dialogue, Record, Store, frame::FRAME_BYTES_MAX};
+use serialport::{SerialPort, TTYPort};
+use std::{
+    io::{ErrorKind, Read, Write},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+
+struct Flash(Vec<u8>);
+
+impl ErrorType for Flash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 4;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 4096;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        self.0[from as usize..to as usize].fill(0xff);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        for (to, from) in self.0[offset as usize..].iter_mut().zip(bytes) {
+            *to &= from;
+        }
+        Ok(())
+    }
+}
+
+/// A node on a line, until it is dropped.
+struct Board {
+    port: String,
+    quit: Arc<AtomicBool>,
+    node: JoinHandle<(Record, bool)>,
+    /// Keeps the line from hanging up between two programs.
+    _line: TTYPort,
+}
+
+impl Board {
+    fn new(moves: bool) -> Self {
+        let (mut master, line) = TTYPort::pair().expect("a pseudo-terminal");
+        let port = line.name().expect("it has a path");
+        master
+            .set_timeout(Duration::from_millis(5))
+            .expect("has a timeout");
+        let quit = Arc::new(AtomicBool::new(false));
+        let until = quit.clone();
+        let node = std::thread::spawn(move || {
+            let store = Store::new(Flash(vec![0xff; 8192])).expect("room");
+            let mut dialogue = Dialogue::new(store, [0, 1, 0]).expect("readable");
+            while !until.load(Ordering::Relaxed) {
+                let mut bytes = [0; 64];
+                let count = match master.read(&mut bytes) {
+                    Ok(count) => count,
+                    Err(error) if error.kind() == ErrorKind::TimedOut => continue,
+                    Err(error) => panic!("{error}"),
+                };
+                let mut answer = [0; FRAME_BYTES_MAX + 2];
+                for byte in &bytes[..count] {
+                    if let Some(used) = dialogue.handle_byte(*byte, !moves, &mut answer) {
+                        master.write_all(b"wifi: no connection\r\n").expect("sent");
+                        master.write_all(&answer[..used]).expect("sent");
+                    }
+                }
+            }
+            let restart = dialogue.wants_restart();
+            let mut store = dialogue.into_store();
+            (store.read().expect("readable").unwrap_or_default(), restart)
+        });
+        Self {
+            port,
+            quit,
+            node,
+            _line: line,
+        }
+    }
+
+    fn fleet(&self, line: &[&str]) -> (Option<i32>, String, String) {
+        let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
+            .arg("provision")
+            .arg(&self.port)
+            .args(line)
+            .timeout(Duration::from_secs(60))
+            .output()
+            .expect("started");
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+        (
+            output.status.code(),
+            text(output.stdout),
+            text(output.stderr),
+        )
+    }
+
+    fn end(self) -> (Record, bool) {
+        self.quit.store(true, Ordering::Relaxed);
+        self.node.join().expect("it did not panic")
+    }
+}
+
+#[test]
+fn a_node_is_told_its_name_network_and_router_and_says_no_secret() {
+    let board = Board::new(false);
+    let files = tempfile::tempdir().expect("a folder");
+    let password = files.path().join("wifi");
+    std::fs::write(&password, "correct horse\n").expect("written");
+    let password = password.to_str().expect("a path");
+    let (code, out, err) = board.fleet(&[
+        "--name",
+        "left",
+        "--wifi",
+        "shop",
+        "--wifi-password-file",
+        password,
+        "--router",
+        "tcp/10.0.0.1:7447",
+        "--user",
+        "left",
+        "--password-file",
+        password,
+        "--restart",
+    ]);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    assert!(out.contains("name        left") && out.contains("networks    shop"));
+    assert!(!out.contains("horse"));
+    let (code, out, _) = board.fleet(&["--json"]);
+    assert_eq!(code, Some(0));
+    let shown: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(shown["node"], "left");
+    assert_eq!(shown["login"], true);
+    let (record, restart) = board.end();
+    assert_eq!(record.networks[0].password, "correct horse");
+    assert_eq!(record.router, "tcp/10.0.0.1:7447");
+    assert!(restart);
+}
+
+#[test]
+fn refusals_have_words_and_change_nothing() {
+    let board = Board::new(false);
+    let (code, _, err) = board.fleet(&["--name", "left"]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("a name and a WiFi network"), "{err}");
+    let (code, _, err) = board.fleet(&["--router", "udp/1"]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("Router"), "{err}");
+    let (code, _, err) = board.fleet(&["--name", "Left"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("--name"), "{err}");
+    let (record, _) = board.end();
+    assert_eq!(record, Record::default());
+
+    let board = Board::new(true);
+    let (code, _, err) = board.fleet(&["--name", "left", "--wifi", "shop"]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("the node moves"), "{err}");
+    board.end();
+}
+
+#[test]
+fn a_port_that_is_not_there_is_said_to_be_missing() {
+    let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
+        .args(["provision", "/dev/no-such-port"])
+        .output()
+        .expect("started");
+    assert_eq!(output.status.code(), Some(3));
+    let words = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(words.contains("/dev/no-such-port"), "{words}");
+}

@@ -1,0 +1,101 @@
+//! Another firmware for a node, over the network.
+//!
+//! ```text
+//!   client ──Begin──▶ node      size, hash, signature over the hash
+//!          ◀──At 0───
+//!          ──Chunk──▶           in order; At says how far it came, so that what was lost goes again
+//!          ◀──At n───
+//!          ──Finish─▶           hash of what the flash holds
+//!          ◀──Ready──           the node boots it on trial
+//! ```
+//!
+//! These messages have no version header of their own: they are enums that are only appended to.
+
+use serde::{Deserialize, Serialize};
+
+/// Most bytes of an image in one message.
+pub const CHUNK_BYTES_MAX: usize = 1_024;
+
+/// What is signed: these bytes, then the SHA-256 of the image. They keep a signature that was made
+/// for something else from being one for an image.
+pub const SIGNED_PREFIX: &[u8] = b"stepfleet image v1\0";
+
+/// What is said to a node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum UpdateMessage<'b> {
+    /// An image follows, or goes on.
+    Begin {
+        /// Its size.
+        bytes: u32,
+        /// Its SHA-256.
+        hash: [u8; 32],
+        /// Ed25519 signature over [`SIGNED_PREFIX`] and the hash.
+        #[serde(with = "signature")]
+        signature: [u8; 64],
+    },
+    /// Some of it.
+    Chunk {
+        /// Where it begins, bytes.
+        at: u32,
+        /// The bytes: a multiple of 16, but for the last.
+        bytes: &'b [u8],
+    },
+    /// That was all: check it.
+    Finish,
+    /// Forget it.
+    Abandon,
+}
+
+/// What the node answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum UpdateReply {
+    /// So much is written; the next chunk begins there.
+    At {
+        /// Bytes.
+        bytes: u32,
+    },
+    /// The image is whole and signed. The node boots it now.
+    Ready,
+    /// It is not.
+    Refused(UpdateRefusal),
+}
+
+/// Why an image is not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum UpdateRefusal {
+    /// The flash cannot be written while the node moves.
+    Moving,
+    /// No key is set: the node takes no images.
+    NoKey,
+    /// The signature is not that of the key.
+    Signature,
+    /// Empty, or more than a slot holds.
+    Size,
+    /// A chunk before the begin.
+    NotBegun,
+    /// A chunk that is empty, too long, or no multiple of 16.
+    Chunk,
+    /// What the flash holds is not what was announced.
+    Hash,
+    /// The flash did not take it.
+    Flash,
+}
+
+/// 64 bytes, which serde has no array for.
+mod signature {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(bytes: &[u8; 64], to: S) -> Result<S::Ok, S::Error> {
+        let (first, second) = bytes.split_at(32);
+        let half = |half: &[u8]| <[u8; 32]>::try_from(half).unwrap_or([0; 32]);
+        (half(first), half(second)).serialize(to)
+    }
+
+    pub(super) fn deserialize<'d, D: Deserializer<'d>>(from: D) -> Result<[u8; 64], D::Error> {
+        let (first, second) = <([u8; 32], [u8; 32])>::deserialize(from)?;
+        let mut bytes = [0; 64];
+        bytes[..32].copy_from_slice(&first);
+        bytes[32..].copy_from_slice(&second);
+        Ok(bytes)
+    }
+}

@@ -1,0 +1,67 @@
+//! The pin table: ESP32-S3-DevKitC-1 with the N8R8 module.
+//!
+//! GPIO 26 to 37 belong to flash and octal PSRAM, 19 and 20 to USB, 0, 3, 45 and 46 to the boot
+//! mode. All pins below are under 32, so that one register holds them all. The wiring diagram is in
+//! `node-firmware/README.md`.
+
+use esp_hal::gpio::AnyPin;
+use motion::limits::CHANNEL_WORDS;
+use rmt::{Layout, Place};
+
+/// Axes of this board.
+pub(crate) const AXES: usize = 2;
+
+/// Step outputs, by axis.
+pub(crate) const STEP_PINS: [u8; AXES] = [4, 6];
+
+/// Direction outputs, by axis: high counts up.
+pub(crate) const DIRECTION_PINS: [u8; AXES] = [5, 7];
+
+/// Enable output, high: the drivers are on. Hardware gates it with the stop button.
+pub(crate) const ENABLE_PIN: u8 = 15;
+
+/// Laser output, high: on.
+pub(crate) const LASER_PIN: u8 = 18;
+
+/// Stop input with its own pull-up; open, and so a broken wire, is a stop.
+pub(crate) const STOP_PIN: u8 = 10;
+
+/// A lamp that says how the node is.
+pub(crate) const LAMP_PIN: u8 = 11;
+
+/// What the chip's RMT has.
+#[cfg(not(feature = "esp32c6"))]
+pub(crate) const LAYOUT: Layout = Layout::FOUR;
+/// What the chip's RMT has.
+#[cfg(feature = "esp32c6")]
+pub(crate) const LAYOUT: Layout = Layout::TWO;
+
+/// The transmitter of each axis.
+pub(crate) const PLACES: [Place; AXES] = LAYOUT.places::<AXES>();
+
+/// Where the RMT's RAM begins: ESP32-S3 TRM §37.2, ESP32-C6 TRM §34.2, and esp-hal's table for the
+/// ESP32-S31, whose manual is not public.
+#[cfg(feature = "esp32s3")]
+pub(crate) const RMT_RAM: usize = 0x6001_6800;
+/// See above.
+#[cfg(feature = "esp32c6")]
+pub(crate) const RMT_RAM: usize = 0x6000_6400;
+/// See above.
+#[cfg(feature = "esp32s31")]
+pub(crate) const RMT_RAM: usize = 0x2035_5800;
+
+/// How many words the read pointer is ahead of the word that plays. Not in any manual; the `hil`
+/// program measures it against the pulse counter. This value is a guess until it has run.
+pub(crate) const PREFETCH_WORDS: u8 = 1;
+
+/// RMT clock 80 MHz, so that a tick is 62.5 ns.
+pub(crate) const RMT_DIVIDER: u8 = 5;
+
+const _: () = assert!(PLACES[0].words() >= CHANNEL_WORDS);
+
+/// Gives a pin of the table.
+pub(crate) fn pin(number: u8) -> AnyPin<'static> {
+    // SAFETY: main takes each pin of the table once, and nobody takes pins by another way. The one
+    // exception is the panic handler, which comes last.
+    unsafe { AnyPin::steal(number) }
+}

@@ -1,0 +1,220 @@
+//! The node on the board: takes the parts, connects them, lets them run. No decisions here.
+//!
+//! ```text
+//!   core 0: wifi.rs · link.rs (zenoh) · serial.rs · lamp.rs       core 1: plan.rs (the node)
+//!              └────────────── two queues, plan.rs ──────────────────┘   ▲ refill interrupt, rmt.rs
+//! ```
+//!
+//! On a chip with one core both run there; the refill interrupt comes before either.
+#![no_std]
+#![no_main]
+
+extern crate alloc;
+
+mod board;
+mod lamp;
+mod link;
+mod outputs;
+mod panic;
+mod plan;
+mod psram;
+mod rmt;
+mod serial;
+mod stop_pin;
+mod watchdog;
+mod wifi;
+
+use crate::{
+    outputs::BoardOutputs,
+    plan::{IN_MAX, OUT_MAX, Parcel, Planning},
+    rmt::RmtBackend,
+    serial::RecordFlash,
+    stop_pin::StopPin,
+};
+use core::sync::atomic::AtomicU32;
+use embassy_executor::Spawner;
+use embassy_net::StackResources;
+use esp_hal::{
+    clock::CpuClock, interrupt::Priority, rng::Rng, timer::timg::TimerGroup,
+    usb::usb_serial_jtag::UsbSerialJtag,
+};
+use esp_rtos::embassy::InterruptExecutor;
+use esp_storage::FlashStorage;
+use esp_wifi::wifi::{ControllerConfig, Interface, WifiController};
+use heapless::spsc::Queue;
+use keys::Keys;
+use motion::{AxisProfile, MotionConfig};
+use node::{Node, NodeConfig, Outbound};
+use provision::{Dialogue, Record, Store};
+use static_cell::StaticCell;
+
+esp_bootloader_esp_idf::esp_app_desc!();
+
+/// Version of the firmware, told in the first line of the node's log.
+const FIRMWARE: [u8; 3] = [0, 1, 0];
+
+/// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM.
+#[cfg(feature = "psram")]
+const HEAP_BYTES: usize = 96 * 1024;
+/// Without PSRAM it is what is left beside the axes: tight, for an image that checks the link.
+#[cfg(not(feature = "psram"))]
+const HEAP_BYTES: usize = 64 * 1024;
+
+/// Stack of the second core: the streamer's 16 KiB are put together on it, twice over, and planning
+/// a look-ahead of lines takes some 10 KiB.
+#[cfg(feature = "dual")]
+const STACK_BYTES: usize = 64 * 1024;
+
+/// The node on this board.
+type BoardNode = Node<'static, RmtBackend, BoardOutputs>;
+
+macro_rules! keep {
+    ($type:ty, $value:expr) => {{
+        static CELL: StaticCell<$type> = StaticCell::new();
+        CELL.init($value)
+    }};
+}
+
+/// Random bytes for zenoh-keyexpr's hash maps.
+fn hardware_random(bytes: &mut [u8]) -> Result<(), getrandom::Error> {
+    Rng::new().read(bytes);
+    Ok(())
+}
+
+getrandom::register_custom_getrandom!(hardware_random);
+
+fn random_u64() -> u64 {
+    let random = Rng::new();
+    u64::from(random.random()) << 32 | u64::from(random.random())
+}
+
+fn node_config(record: &Record, boot: u32) -> NodeConfig {
+    let name = record.name.expect("only a complete record gets here");
+    let mut axes = MotionConfig::default().axes;
+    for (to, from) in axes.iter_mut().zip(&record.axes) {
+        *to = AxisProfile::from(*from);
+    }
+    NodeConfig {
+        keys: keys_of(record),
+        firmware: FIRMWARE,
+        motion: MotionConfig {
+            axis_count: board::AXES,
+            axes,
+        },
+        ..NodeConfig::new(name, boot)
+    }
+}
+
+fn keys_of(record: &Record) -> Keys {
+    // A prefix that is none was refused when it was set.
+    Keys::new(&record.prefix).unwrap_or_default()
+}
+
+/// Makes the node where it stays: it has some 100 KiB.
+#[inline(never)]
+fn made_node(
+    ring: &'static [AtomicU32],
+    backend: RmtBackend,
+    outputs: BoardOutputs,
+    config: NodeConfig,
+) -> &'static mut BoardNode {
+    static NODE: StaticCell<BoardNode> = StaticCell::new();
+    NODE.uninit()
+        .write(Node::new(ring, backend, outputs, config))
+}
+
+#[embassy_executor::task]
+async fn plan_task(planning: Planning<BoardOutputs>) {
+    planning.run().await;
+}
+
+#[esp_rtos::main]
+async fn main(spawner: Spawner) -> ! {
+    let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
+    let parts = esp_hal::init(config);
+    panic::pins_off();
+    esp_alloc::heap_allocator!(size: HEAP_BYTES);
+    let report = panic::take_report();
+    #[cfg(feature = "psram")]
+    let ring = psram::ring_memory(parts.PSRAM);
+    #[cfg(not(feature = "psram"))]
+    let ring = psram::ring_memory();
+    let timers = TimerGroup::new(parts.TIMG0);
+    esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
+
+    let flash = FlashStorage::new(parts.FLASH);
+    #[cfg(feature = "dual")]
+    let flash = flash.multicore_auto_park();
+    let store = Store::new(RecordFlash(flash)).expect("the partition has two erase units");
+    let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
+    let record = keep!(Record, dialogue.record().clone());
+    let provisioned = record.is_complete();
+    spawner.spawn(lamp::show(provisioned).expect("spawned once"));
+    let port = UsbSerialJtag::new(parts.USB_DEVICE).into_async();
+    if !provisioned {
+        serial::run(port, dialogue, true).await;
+    }
+
+    let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
+    let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
+    let boot = random_u64() as u32;
+    let outputs = BoardOutputs::new();
+    let config = node_config(record, boot);
+    let plan_interrupt = parts.FROM_CPU_INTR2;
+    let pulse_parts = parts.RMT;
+    #[cfg(feature = "counters")]
+    let counter_parts = parts.PCNT;
+    let start_planning = move || {
+        // On the core that plans, so that its interrupt is served there.
+        let backend = RmtBackend::new(
+            pulse_parts,
+            #[cfg(feature = "counters")]
+            counter_parts,
+        );
+        let planning = Planning {
+            node: made_node(ring, backend, outputs, config),
+            incoming: from_network,
+            outgoing: to_network,
+            stop_pin: StopPin::new(),
+            report,
+        };
+        let executor = keep!(InterruptExecutor<2>, InterruptExecutor::new(plan_interrupt));
+        // Below the refill interrupt.
+        let spawner = executor.start(Priority::Priority1);
+        spawner.spawn(plan_task(planning).expect("spawned once"));
+    };
+    #[cfg(feature = "dual")]
+    {
+        use esp_hal::system::Stack;
+        let stack = keep!(Stack<STACK_BYTES>, Stack::new());
+        esp_rtos::start_second_core(parts.CPU_CTRL, parts.FROM_CPU_INTR1, stack, start_planning);
+    }
+    #[cfg(not(feature = "dual"))]
+    start_planning();
+    spawner.spawn(watchdog::watch(parts.TIMG1, parts.RTC_TIMER).expect("spawned once"));
+
+    let wifi = WifiController::new(parts.WIFI, ControllerConfig::default())
+        .expect("the radio is free and the heap has room for it");
+    let (stack, runner) = embassy_net::new(
+        Interface::station(),
+        wifi::address_config(record),
+        keep!(StackResources<6>, StackResources::new()),
+        random_u64(),
+    );
+    spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));
+    spawner.spawn(wifi::network(runner).expect("spawned once"));
+    let name = record.name.expect("it is provisioned");
+    let link = link::run(
+        stack,
+        record,
+        name,
+        keys_of(record),
+        random_u64(),
+        to_node,
+        from_node,
+    );
+    match embassy_futures::select::select(link, serial::run(port, dialogue, false)).await {
+        embassy_futures::select::Either::First(never)
+        | embassy_futures::select::Either::Second(never) => never,
+    }
+}

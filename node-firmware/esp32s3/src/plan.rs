@@ -1,0 +1,188 @@
+//! Core 1: the node itself. Plans, books, reports; its turns are short, and the refill interrupt
+//! comes in between them.
+//!
+//! ```text
+//!   core 0 (link.rs)  ──Parcel──▶ IN  ──▶ Node::handle ┐
+//!                     ◀─Outbound─ OUT ◀── Node::poll_outbox
+//!                       STOP, LINK: one word each, never full
+//! ```
+//!
+//! A full queue is an answer: what does not fit is dropped by core 0, as if the network had lost it,
+//! and the gateway sends it again. A stop has its own word and is never dropped.
+
+use crate::{
+    panic,
+    rmt::{RmtBackend, WANTED},
+    stop_pin::StopPin,
+};
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, Ordering};
+use embassy_futures::select::select;
+use embassy_sync::{blocking_mutex::raw::CriticalSectionRawMutex, signal::Signal};
+use embassy_time::{Duration, Timer};
+use heapless::spsc::{Consumer, Producer};
+use keys::{LocalMicros, NodeTopic, Stop, StopMode, batch::ORDER_BYTES_MAX, status::FaultCode};
+use node::{Inbound, Node, Outbound, Outputs};
+
+/// Messages that wait for the node.
+pub(crate) const IN_MAX: usize = 8;
+/// Messages that wait for the network.
+pub(crate) const OUT_MAX: usize = 8;
+/// Longest turnless time while something moves, µs: the shortest plan that a ring of single fast
+/// steps holds is 960 µs.
+const TURN_US: u64 = 400;
+/// The same at rest: the stop input is looked at as often.
+const REST_US: u64 = 1_000;
+
+/// A message for the node.
+#[derive(Clone, Debug)]
+pub(crate) struct Parcel {
+    /// When it came.
+    pub(crate) at: LocalMicros,
+    /// The last chunk of its key.
+    pub(crate) topic: NodeTopic,
+    /// Its bytes.
+    pub(crate) payload: heapless::Vec<u8, ORDER_BYTES_MAX>,
+}
+
+/// There is something for the node to do.
+pub(crate) static WAKE: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+/// There is something for the network to send.
+pub(crate) static OUTGOING: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+/// A stop that came over the network: 0 none, 1 by the ramp, 2 at once.
+pub(crate) static STOP: AtomicU8 = AtomicU8::new(0);
+/// Changes of the link: odd is up.
+pub(crate) static LINK: AtomicU32 = AtomicU32::new(0);
+/// Signal strength, dBm; 0: none.
+pub(crate) static RSSI_DBM: AtomicI32 = AtomicI32::new(0);
+/// Something moves, so the flash must not be written.
+pub(crate) static MOVES: AtomicBool = AtomicBool::new(false);
+/// The turn of the planning task: a watchdog watches it.
+pub(crate) static TURNS: AtomicU32 = AtomicU32::new(0);
+
+/// The node's clock: microseconds since boot.
+pub(crate) fn now() -> LocalMicros {
+    LocalMicros(crate::rmt::now_ticks() / motion::TICKS_PER_US)
+}
+
+/// The planning task.
+pub(crate) struct Planning<O: Outputs + 'static> {
+    pub(crate) node: &'static mut Node<'static, RmtBackend, O>,
+    pub(crate) incoming: Consumer<'static, Parcel>,
+    pub(crate) outgoing: Producer<'static, Outbound>,
+    pub(crate) stop_pin: StopPin,
+    pub(crate) report: Option<panic::Report>,
+}
+
+impl<O: Outputs> Planning<O> {
+    /// Runs the node for ever.
+    pub(crate) async fn run(mut self) -> ! {
+        self.tell_report();
+        let mut link = 0;
+        let mut rssi_dbm = 0;
+        let mut events_kept = 0;
+        loop {
+            self.take_stop();
+            self.take_link(&mut link);
+            while let Some(parcel) = self.incoming.dequeue() {
+                let payload = &parcel.payload[..];
+                let topic = parcel.topic;
+                self.node
+                    .handle(parcel.at, Inbound::Message { topic, payload });
+                self.take_stop();
+            }
+            let measured_dbm = RSSI_DBM.load(Ordering::Relaxed);
+            if core::mem::replace(&mut rssi_dbm, measured_dbm) != measured_dbm {
+                let rssi_dbm = i8::try_from(measured_dbm).ok().filter(|dbm| *dbm != 0);
+                self.node
+                    .handle(now(), Inbound::SignalStrength { rssi_dbm });
+            }
+            self.node.poll(now());
+            self.give_outbound();
+            self.keep_events(&mut events_kept);
+            let moves = self.node.motion().is_active();
+            MOVES.store(moves, Ordering::Release);
+            self.node.motion_mut().backend_mut().resume();
+            TURNS.fetch_add(1, Ordering::Relaxed);
+            self.wait(moves).await;
+        }
+    }
+
+    async fn wait(&self, moves: bool) {
+        if WANTED.swap(false, Ordering::AcqRel) {
+            return;
+        }
+        let latest_us = if moves { TURN_US } else { REST_US };
+        let now_us = now().0;
+        let due_us = self.node.poll_timeout().map_or(u64::MAX, |due| due.0);
+        let wait_us = due_us.saturating_sub(now_us).min(latest_us);
+        select(Timer::after(Duration::from_micros(wait_us)), WAKE.wait()).await;
+    }
+
+    fn take_stop(&mut self) {
+        if let Some(active) = self.stop_pin.poll() {
+            self.node.handle(now(), Inbound::StopPin { active });
+        }
+        let mode = match STOP.swap(0, Ordering::AcqRel) {
+            0 => return,
+            1 => StopMode::Decelerate,
+            _ => StopMode::Halt,
+        };
+        let payload = Stop { mode }.to_payload();
+        let topic = NodeTopic::Stop;
+        self.node.handle(now(), Inbound::Message { topic, payload });
+    }
+
+    fn take_link(&mut self, seen: &mut u32) {
+        let link = LINK.load(Ordering::Acquire);
+        if link == *seen {
+            return;
+        }
+        if *seen & 1 == 1 {
+            self.node.handle(now(), Inbound::LinkDown);
+        }
+        *seen = link;
+        if link & 1 == 1 {
+            self.node.handle(now(), Inbound::LinkUp);
+        }
+    }
+
+    fn give_outbound(&mut self) {
+        let mut gave = false;
+        while self.outgoing.ready() {
+            let Some(outbound) = self.node.poll_outbox(now()) else {
+                break;
+            };
+            gave |= self.outgoing.enqueue(outbound).is_ok();
+        }
+        if gave {
+            OUTGOING.signal(());
+        }
+    }
+
+    /// Keeps the newest events where a panic finds them.
+    fn keep_events(&mut self, kept_until: &mut u64) {
+        let events = self.node.trace().events();
+        for (slot, (at, event)) in events.enumerate() {
+            if at.0 > *kept_until {
+                *kept_until = at.0;
+                panic::keep_event(slot, (at.0 / 1_000) as u32, event.kind() as u32);
+            }
+        }
+    }
+
+    /// Tells what ended the boot before.
+    fn tell_report(&mut self) {
+        let Some(report) = self.report.take() else {
+            return;
+        };
+        self.node.fault(FaultCode::PANIC, now());
+        self.node
+            .tell(now(), format_args!("panic: {}", report.reason));
+        self.node
+            .tell(now(), format_args!("stack: {:08x?}", &report.frames[..]));
+        self.node.tell(
+            now(),
+            format_args!("events (ms, kind): {:?}", &report.events[..]),
+        );
+    }
+}

@@ -1,0 +1,398 @@
+//! The registers of the pulse hardware, its interrupt, and the back end that the node holds.
+//!
+//! Logic is in the `rmt` crate; here is one access after the other. Everything that the interrupt
+//! reaches lies in internal RAM: see `pulse.x`.
+
+use crate::board::{
+    AXES, DIRECTION_PINS, PLACES, PREFETCH_WORDS, RMT_DIVIDER, RMT_RAM, STEP_PINS, pin,
+};
+use core::{
+    cell::UnsafeCell,
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, Ordering},
+};
+use esp_hal::{
+    gpio::{Flex, InputConfig, Level, OutputConfig},
+    handler,
+    interrupt::Priority,
+    peripherals::{self, GPIO, RMT, SYSTIMER},
+    ram,
+    rmt::{Rmt, TxChannelConfig, TxChannelCreator},
+    time::Rate,
+};
+use keys::{AxisId, status::FaultCode};
+use motion::{Axis, StepBackend, Ticks};
+use rmt::{ChannelConfig, ChannelStatus, Registers, Streamer, StreamerConfig};
+
+#[cfg(feature = "counters")]
+use esp_hal::pcnt::{
+    Pcnt,
+    channel::{CtrlMode, EdgeMode},
+};
+
+/// The hardware itself; there is nothing to hold.
+#[derive(Debug)]
+pub(crate) struct Chip;
+
+/// Ticks of 62.5 ns since boot: the system timer counts them.
+#[inline(always)]
+pub(crate) fn now_ticks() -> u64 {
+    let timer = SYSTIMER::regs();
+    timer.unit_op(0).write(|w| w.update().set_bit());
+    while timer.unit_op(0).read().value_valid().bit_is_clear() {}
+    let value = timer.unit_value(0);
+    let mut low = value.lo().read().bits();
+    loop {
+        // The other core may update between the two halves.
+        let high = value.hi().read().bits();
+        let again = value.lo().read().bits();
+        if again == low {
+            return u64::from(high) << 32 | u64::from(low);
+        }
+        low = again;
+    }
+}
+
+impl Registers for Chip {
+    #[inline(always)]
+    fn configure(&mut self, channel: usize, config: ChannelConfig) {
+        RMT::regs().ch_tx_conf0(channel).modify(|_, w| {
+            // SAFETY: any divider and 1 to 8 blocks are legal values of these fields.
+            unsafe {
+                w.div_cnt().bits(config.divider);
+                w.mem_size().bits(config.blocks);
+            }
+            w.mem_tx_wrap_en().bit(config.wrap);
+            w.tx_conti_mode().bit(config.continuous);
+            w.idle_out_en().bit(config.idle_output);
+            w.idle_out_lv().bit(config.idle_high);
+            w.carrier_en().bit(config.carrier)
+        });
+    }
+
+    #[inline(always)]
+    fn set_threshold(&mut self, channel: usize, words: u16) {
+        RMT::regs().ch_tx_lim(channel).modify(|_, w| {
+            w.tx_loop_cnt_en().clear_bit();
+            // SAFETY: nine bits, and a block is shorter.
+            unsafe { w.tx_lim().bits(words) }
+        });
+    }
+
+    #[inline(always)]
+    fn update(&mut self, channel: usize) {
+        RMT::regs()
+            .ch_tx_conf0(channel)
+            .modify(|_, w| w.conf_update().set_bit());
+    }
+
+    #[inline(always)]
+    fn reset_dividers(&mut self, channels: u8) {
+        // SAFETY: bit n is transmitter n; the bits clear themselves.
+        RMT::regs()
+            .ref_cnt_rst()
+            .write(|w| unsafe { w.bits(u32::from(channels)) });
+    }
+
+    #[inline(always)]
+    fn start_together(&mut self, channels: u8) {
+        RMT::regs().tx_sim().write(|w| {
+            w.ch0().bit(channels & 1 != 0);
+            w.ch1().bit(channels & 2 != 0);
+            #[cfg(not(feature = "esp32c6"))]
+            w.ch2().bit(channels & 4 != 0);
+            #[cfg(not(feature = "esp32c6"))]
+            w.ch3().bit(channels & 8 != 0);
+            w.en().bit(channels != 0)
+        });
+    }
+
+    #[inline(always)]
+    fn begin(&mut self, channel: usize) {
+        let conf0 = RMT::regs().ch_tx_conf0(channel);
+        conf0.modify(|_, w| {
+            w.mem_rd_rst().set_bit();
+            w.apb_mem_rst().set_bit()
+        });
+        conf0.modify(|_, w| {
+            w.mem_rd_rst().clear_bit();
+            w.apb_mem_rst().clear_bit();
+            w.conf_update().set_bit()
+        });
+        conf0.modify(|_, w| w.tx_start().set_bit());
+    }
+
+    #[inline(always)]
+    fn stop(&mut self, channel: usize) {
+        RMT::regs()
+            .ch_tx_conf0(channel)
+            .modify(|_, w| w.tx_stop().set_bit());
+    }
+
+    #[inline(always)]
+    fn status(&self, channel: usize) -> ChannelStatus {
+        let status = RMT::regs().ch_tx_status(channel).read();
+        ChannelStatus {
+            read_word: usize::from(status.mem_raddr_ex().bits()),
+            idle: status.state().bits() == 0,
+        }
+    }
+
+    #[inline(always)]
+    fn reached(&self) -> u8 {
+        let raw = RMT::regs().int_raw().read();
+        PLACES.iter().fold(0, |mask, place| {
+            let reached = raw.ch_tx_thr_event(place.channel as u8).bit_is_set();
+            mask | u8::from(reached) << place.channel
+        })
+    }
+
+    #[inline(always)]
+    fn ended(&self) -> u8 {
+        let raw = RMT::regs().int_raw().read();
+        PLACES.iter().fold(0, |mask, place| {
+            let ended = raw.ch_tx_end(place.channel as u8).bit_is_set();
+            mask | u8::from(ended) << place.channel
+        })
+    }
+
+    #[inline(always)]
+    fn clear_events(&mut self, channels: u8, ends: bool) {
+        RMT::regs().int_clr().write(|w| {
+            for place in PLACES {
+                let mine = channels & 1 << place.channel != 0;
+                w.ch_tx_thr_event(place.channel as u8).bit(mine);
+                w.ch_tx_end(place.channel as u8).bit(mine && ends);
+            }
+            w
+        });
+    }
+
+    #[inline(always)]
+    fn enable_interrupts(&mut self, channels: u8) {
+        RMT::regs().int_ena().write(|w| {
+            for place in PLACES {
+                let mine = channels & 1 << place.channel != 0;
+                w.ch_tx_thr_event(place.channel as u8).bit(mine);
+                w.ch_tx_end(place.channel as u8).bit(mine);
+            }
+            w
+        });
+    }
+
+    #[inline(always)]
+    fn write_word(&mut self, word: usize, value: u32) {
+        let ram = RMT_RAM as *mut u32;
+        // SAFETY: `word` lies in the block of a channel that this driver owns: it comes from
+        // `Place`, whose bounds a const assertion and a test hold.
+        unsafe { ram.add(word).write_volatile(value) };
+    }
+
+    #[inline(always)]
+    fn step_pin(&self, channel: usize) -> bool {
+        let axis = PLACES.iter().position(|place| place.channel == channel);
+        let number = axis.map_or(0, |axis| STEP_PINS[axis]);
+        GPIO::regs().in_().read().bits() & 1 << number != 0
+    }
+
+    #[inline(always)]
+    fn set_direction(&mut self, axis: usize, positive: bool) {
+        set_pin(DIRECTION_PINS[axis], positive);
+    }
+
+    #[inline(always)]
+    fn counter(&self, axis: usize) -> Option<i16> {
+        #[cfg(feature = "counters")]
+        {
+            let counter = peripherals::PCNT::regs().u_cnt(axis).read();
+            Some(counter.cnt().bits() as i16)
+        }
+        #[cfg(not(feature = "counters"))]
+        {
+            let _ = axis;
+            None
+        }
+    }
+
+    #[inline(always)]
+    fn now(&self) -> u64 {
+        now_ticks()
+    }
+}
+
+/// Sets an output below 32 by its own bit, so that no other pin is disturbed.
+#[inline(always)]
+pub(crate) fn set_pin(number: u8, high: bool) {
+    let gpio = GPIO::regs();
+    if high {
+        // SAFETY: one bit of a register that ignores zeros.
+        gpio.out_w1ts().write(|w| unsafe { w.bits(1 << number) });
+    } else {
+        // SAFETY: as above.
+        gpio.out_w1tc().write(|w| unsafe { w.bits(1 << number) });
+    }
+}
+
+/// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
+pub(crate) static WANTED: AtomicBool = AtomicBool::new(false);
+
+struct Shared(UnsafeCell<MaybeUninit<Streamer<Chip, AXES>>>);
+
+// SAFETY: it is used by one core only, by its interrupt and by its planning task, and never by both
+// at once: every call of `RmtBackend` first holds the interrupt off (`Streamer::hold`), and the
+// interrupt cannot be interrupted by the task.
+unsafe impl Sync for Shared {}
+
+static STREAMER: Shared = Shared(UnsafeCell::new(MaybeUninit::uninit()));
+
+/// The refill interrupt.
+#[handler(priority = Priority::Priority3)]
+#[ram]
+fn refill() {
+    // SAFETY: the interrupt is enabled by `Streamer::resume` only, so the streamer is initialized
+    // and the task does not use it.
+    let streamer = unsafe { (*STREAMER.0.get()).assume_init_mut() };
+    if streamer.on_interrupt().wake {
+        WANTED.store(true, Ordering::Release);
+    }
+}
+
+/// The node's back end: the one handle to the streamer.
+#[derive(Debug)]
+pub(crate) struct RmtBackend {
+    _own: (),
+}
+
+impl RmtBackend {
+    /// Sets up clock, pins, RAM and interrupt on the core that calls it, which is the one that plans.
+    ///
+    /// # Panics
+    /// The RMT refuses its settings, which are constants.
+    pub(crate) fn new(
+        rmt: RMT<'static>,
+        #[cfg(feature = "counters")] pcnt: peripherals::PCNT<'static>,
+    ) -> Self {
+        let mut rmt = Rmt::new(rmt, Rate::from_mhz(80)).expect("80 MHz is a source of its clock");
+        // On this core. Nothing raises it before `Streamer::resume`.
+        rmt.set_interrupt_handler(refill);
+        let config = |axis: usize| {
+            TxChannelConfig::default()
+                .with_clk_divider(RMT_DIVIDER)
+                .with_idle_output(true)
+                .with_idle_output_level(Level::Low)
+                .with_memsize(PLACES[axis].blocks as u8)
+        };
+        let split = |number: u8| {
+            let mut flex = Flex::new(pin(number));
+            flex.apply_output_config(&OutputConfig::default());
+            flex.apply_input_config(&InputConfig::default());
+            flex.set_input_enable(true);
+            flex.set_low();
+            flex.set_output_enable(true);
+            flex.split()
+        };
+        let (x_in, x_out) = split(STEP_PINS[0]);
+        let (y_in, y_out) = split(STEP_PINS[1]);
+        let (x_dir, _keep_x) = split(DIRECTION_PINS[0]);
+        let (y_dir, _keep_y) = split(DIRECTION_PINS[1]);
+        let own = "the channel is free: nobody else uses the RMT";
+        let x = rmt.channel0.configure_tx(&config(0)).expect(own);
+        #[cfg(not(feature = "esp32c6"))]
+        let y = rmt.channel3.configure_tx(&config(1)).expect(own);
+        #[cfg(feature = "esp32c6")]
+        let y = rmt.channel1.configure_tx(&config(1)).expect(own);
+        // The HAL keeps clock, pins and RAM for as long as these exist.
+        core::mem::forget((x.with_pin(x_out), y.with_pin(y_out)));
+        #[cfg(feature = "counters")]
+        {
+            let counters = Pcnt::new(pcnt);
+            let unit = &counters.unit0;
+            unit.channel0.set_edge_signal(x_in);
+            unit.channel0.set_ctrl_signal(x_dir);
+            unit.channel0
+                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
+            unit.channel0
+                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
+            unit.clear();
+            unit.resume();
+            let unit = &counters.unit1;
+            unit.channel0.set_edge_signal(y_in);
+            unit.channel0.set_ctrl_signal(y_dir);
+            unit.channel0
+                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
+            unit.channel0
+                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
+            unit.clear();
+            unit.resume();
+            core::mem::forget(counters);
+        }
+        #[cfg(not(feature = "counters"))]
+        let _ = (x_in, y_in, x_dir, y_dir);
+        let streamer = Streamer::new(
+            Chip,
+            StreamerConfig {
+                places: PLACES,
+                divider: RMT_DIVIDER,
+                prefetch_words: PREFETCH_WORDS,
+            },
+        );
+        // SAFETY: the interrupt is not enabled yet, and this is called once: it takes the RMT.
+        unsafe { (*STREAMER.0.get()).write(streamer) };
+        Self { _own: () }
+    }
+
+    /// Gives the streamer with its interrupt held off.
+    fn held(&self) -> &'static mut Streamer<Chip, AXES> {
+        // The interrupt must be off before there is a reference.
+        Chip.enable_interrupts(0);
+        // SAFETY: `new` has initialized it; there is one handle, it does not leave its core, and
+        // the references that it gives do not outlive its methods, but for the axes, whose
+        // borrow of `self` keeps it from giving another.
+        let streamer = unsafe { (*STREAMER.0.get()).assume_init_mut() };
+        streamer.hold();
+        streamer
+    }
+
+    /// The end of the task's turn: lets the interrupt in again.
+    pub(crate) fn resume(&mut self) {
+        self.held().resume();
+    }
+}
+
+impl StepBackend for RmtBackend {
+    fn axes(&mut self) -> &mut [Axis] {
+        self.held().axes()
+    }
+
+    fn start_ticks(&self) -> u64 {
+        rmt::START_TICKS
+    }
+
+    fn start(&mut self, now: Ticks, lead_ticks: u64) {
+        self.held().start(now, lead_ticks);
+    }
+
+    fn service(&mut self, until: Ticks) -> Ticks {
+        self.held().service(until)
+    }
+
+    fn is_playing(&self) -> bool {
+        self.held().is_playing()
+    }
+
+    fn halt(&mut self, now: Ticks) -> Ticks {
+        self.held().halt(now)
+    }
+
+    fn played_steps(&self, axis: AxisId) -> i64 {
+        self.held().played_steps(axis)
+    }
+
+    fn counted_steps(&self, axis: AxisId) -> Option<i64> {
+        self.held().counted_steps(axis)
+    }
+
+    fn take_fault(&mut self) -> Option<FaultCode> {
+        self.held().take_fault()
+    }
+}

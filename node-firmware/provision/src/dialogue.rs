@@ -1,0 +1,218 @@
+//! The node's side of the serial line.
+//!
+//! Settings are collected; only [`Request::Commit`] touches the flash. So a line that breaks half
+//! way leaves the node as it was.
+
+use crate::{
+    frame::{self, FRAME_BYTES_MAX, FrameReader},
+    record::{NETWORKS_MAX, Record, SSID_BYTES_MAX, Setting, SettingError},
+    store::{Store, StoreError},
+};
+use embedded_storage::nor_flash::NorFlash;
+use heapless::{String, Vec};
+use keys::NodeId;
+use serde::{Deserialize, Serialize};
+
+/// What the other side asks. Appended to, never changed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Request {
+    /// Who is there?
+    Hello,
+    /// Change the collected record, which begins as the one that is kept.
+    Set(Setting),
+    /// Keep the collected record.
+    Commit,
+    /// Forget what was collected.
+    Abandon,
+    /// What is kept, without its secrets?
+    Show,
+    /// Boot again.
+    Restart,
+}
+
+/// What the node answers. Appended to, never changed.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one is alive at a time, and there is no heap here"
+)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Reply {
+    /// The answer to [`Request::Hello`].
+    Hello {
+        /// Version of the firmware.
+        firmware: [u8; 3],
+        /// The node's name, if it has one.
+        name: Option<NodeId>,
+        /// It has all that it needs.
+        complete: bool,
+    },
+    /// Done.
+    Done,
+    /// The record is kept under this sequence number. It takes effect with the next boot.
+    Kept {
+        /// The number.
+        sequence: u32,
+    },
+    /// The answer to [`Request::Show`].
+    Record(Shown),
+    /// Not done.
+    Refused(Refused),
+}
+
+/// A record without its secrets.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Shown {
+    /// The node's name.
+    pub name: Option<NodeId>,
+    /// Names of its networks.
+    pub networks: Vec<String<SSID_BYTES_MAX>, NETWORKS_MAX>,
+    /// Where the router is; empty: scouting.
+    pub router: String<{ crate::record::ROUTER_BYTES_MAX }>,
+    /// A user is set.
+    pub has_login: bool,
+    /// How many axes are set.
+    pub axes: u8,
+    /// A key for updates is set.
+    pub has_update_key: bool,
+}
+
+/// Why not. Appended to, never changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Refused {
+    /// A setting does not fit.
+    Setting(SettingError),
+    /// The flash cannot be written while the node moves.
+    Moving,
+    /// The flash did not take it.
+    Flash,
+    /// The record has no name or no network.
+    Incomplete,
+}
+
+impl From<StoreError> for Refused {
+    fn from(_: StoreError) -> Self {
+        Self::Flash
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Dialogue<F> {
+    store: Store<F>,
+    firmware: [u8; 3],
+    kept: Record,
+    collected: Option<Record>,
+    reader: FrameReader,
+    restart: bool,
+}
+
+impl<F: NorFlash> Dialogue<F> {
+    /// Reads what is kept.
+    ///
+    /// # Errors
+    /// The flash cannot be read.
+    pub fn new(mut store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
+        let kept = store.read()?.unwrap_or_default();
+        Ok(Self {
+            store,
+            firmware,
+            kept,
+            collected: None,
+            reader: FrameReader::new(),
+            restart: false,
+        })
+    }
+
+    /// Returns what is kept.
+    pub fn record(&self) -> &Record {
+        &self.kept
+    }
+
+    /// Returns whether the other side wants the node to boot again.
+    pub fn wants_restart(&self) -> bool {
+        self.restart
+    }
+
+    /// Gives the flash back, as a power cut would.
+    pub fn into_store(self) -> Store<F> {
+        self.store
+    }
+
+    /// Takes a byte. `may_write`: nothing moves, so the flash can be written. Gives how many bytes
+    /// of `answer` are to be sent, if any.
+    pub fn handle_byte(
+        &mut self,
+        byte: u8,
+        may_write: bool,
+        answer: &mut [u8; FRAME_BYTES_MAX + 2],
+    ) -> Option<usize> {
+        let request = self.reader.handle_byte(byte)?;
+        let reply = self.handle(request, may_write);
+        Some(frame::write(&reply, answer))
+    }
+
+    /// Takes a request and answers it.
+    pub fn handle(&mut self, request: Request, may_write: bool) -> Reply {
+        match request {
+            Request::Hello => Reply::Hello {
+                firmware: self.firmware,
+                name: self.kept.name,
+                complete: self.kept.is_complete(),
+            },
+            Request::Set(setting) => {
+                let collected = self.collected.get_or_insert_with(|| self.kept.clone());
+                match collected.apply(setting) {
+                    Ok(()) => Reply::Done,
+                    Err(error) => Reply::Refused(Refused::Setting(error)),
+                }
+            }
+            Request::Commit => match self.commit(may_write) {
+                Ok(sequence) => Reply::Kept { sequence },
+                Err(refused) => Reply::Refused(refused),
+            },
+            Request::Abandon => {
+                self.collected = None;
+                Reply::Done
+            }
+            Request::Show => Reply::Record(shown(&self.kept)),
+            Request::Restart => {
+                self.restart = may_write;
+                if may_write {
+                    Reply::Done
+                } else {
+                    Reply::Refused(Refused::Moving)
+                }
+            }
+        }
+    }
+
+    fn commit(&mut self, may_write: bool) -> Result<u32, Refused> {
+        if !may_write {
+            return Err(Refused::Moving);
+        }
+        let collected = self.collected.as_ref().unwrap_or(&self.kept);
+        if !collected.is_complete() {
+            return Err(Refused::Incomplete);
+        }
+        let sequence = self.store.write(collected)?;
+        if let Some(collected) = self.collected.take() {
+            self.kept = collected;
+        }
+        Ok(sequence)
+    }
+}
+
+fn shown(record: &Record) -> Shown {
+    Shown {
+        name: record.name,
+        networks: record
+            .networks
+            .iter()
+            .map(|network| network.ssid.clone())
+            .collect(),
+        router: record.router.clone(),
+        has_login: record.login.is_some(),
+        axes: record.axes.len() as u8,
+        has_update_key: record.update_key.is_some(),
+    }
+}

@@ -1,0 +1,356 @@
+//! What a node keeps in flash.
+//!
+//! The fields are postcard in this order and are only ever appended: a record of an older firmware
+//! is read by a newer one, whose new fields take their defaults.
+
+use heapless::{String, Vec};
+use keys::{AXES_MAX, NodeId};
+use motion::AxisProfile;
+use serde::{Deserialize, Serialize};
+
+/// Networks that a node knows.
+pub const NETWORKS_MAX: usize = 4;
+
+/// Longest name of a network, bytes (IEEE 802.11).
+pub const SSID_BYTES_MAX: usize = 32;
+
+/// Longest password, bytes: WPA2 takes 63.
+pub const PASSWORD_BYTES_MAX: usize = 63;
+
+/// Longest locator of a router, bytes.
+pub const ROUTER_BYTES_MAX: usize = 64;
+
+/// Longest user name, bytes.
+pub const USER_BYTES_MAX: usize = 32;
+
+/// Most bytes of a record.
+pub const RECORD_BYTES_MAX: usize = 1_024;
+
+/// A WiFi network.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Network {
+    /// Its name.
+    pub ssid: String<SSID_BYTES_MAX>,
+    /// Its password; empty for an open network.
+    pub password: String<PASSWORD_BYTES_MAX>,
+}
+
+/// What a zenoh router wants to know.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Login {
+    /// User.
+    pub user: String<USER_BYTES_MAX>,
+    /// Password.
+    pub password: String<PASSWORD_BYTES_MAX>,
+}
+
+/// An address instead of DHCP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FixedAddress {
+    /// The node's own.
+    pub address: [u8; 4],
+    /// Bits of the network, 0 to 32.
+    pub prefix_bits: u8,
+    /// Where everything else is.
+    pub gateway: [u8; 4],
+}
+
+/// What the driver of an axis demands: see [`AxisProfile`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AxisSettings {
+    /// Shortest high time of a step, ns.
+    pub high_ns_min: u32,
+    /// Shortest low time between steps, ns.
+    pub low_ns_min: u32,
+    /// High time of slow steps, ns.
+    pub high_ns: u32,
+    /// From a change of direction to the next step, ns.
+    pub dir_setup_ns: u32,
+    /// From a step to a change of direction, ns.
+    pub dir_hold_ns: u32,
+    /// Deceleration of a controlled stop, steps/s².
+    pub stop_accel_hz_per_s: u32,
+    /// Most that the speed jumps at a corner, Hz.
+    pub junction_hz: u32,
+}
+
+impl Default for AxisSettings {
+    fn default() -> Self {
+        let profile = AxisProfile::default();
+        Self {
+            high_ns_min: profile.high_ns_min,
+            low_ns_min: profile.low_ns_min,
+            high_ns: profile.high_ns,
+            dir_setup_ns: profile.dir_setup_ns,
+            dir_hold_ns: profile.dir_hold_ns,
+            stop_accel_hz_per_s: profile.stop_accel_hz_per_s,
+            junction_hz: profile.junction_hz,
+        }
+    }
+}
+
+impl From<AxisSettings> for AxisProfile {
+    fn from(settings: AxisSettings) -> Self {
+        Self {
+            high_ns_min: settings.high_ns_min,
+            low_ns_min: settings.low_ns_min,
+            high_ns: settings.high_ns,
+            dir_setup_ns: settings.dir_setup_ns,
+            dir_hold_ns: settings.dir_hold_ns,
+            stop_accel_hz_per_s: settings.stop_accel_hz_per_s,
+            junction_hz: settings.junction_hz,
+        }
+    }
+}
+
+/// Everything that a node is told.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Record {
+    /// Its name; a node without one has not been told anything.
+    pub name: Option<NodeId>,
+    /// Prefix of the fleet's keys; empty: the default.
+    pub prefix: String<{ keys::key::PREFIX_BYTES_MAX }>,
+    /// Networks, the preferred one first.
+    pub networks: Vec<Network, NETWORKS_MAX>,
+    /// Address instead of DHCP.
+    pub fixed_address: Option<FixedAddress>,
+    /// Where the router is, `tcp/HOST:PORT`; empty: it is found by scouting.
+    pub router: String<ROUTER_BYTES_MAX>,
+    /// What the router wants to know.
+    pub login: Option<Login>,
+    /// The axes; none: the board's default.
+    pub axes: Vec<AxisSettings, AXES_MAX>,
+    /// Public key (ed25519) that updates must be signed with; none: no updates over the network.
+    pub update_key: Option<[u8; 32]>,
+}
+
+/// One change of a record. Appended to, never changed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Setting {
+    /// Begins with an empty record.
+    Clear,
+    /// The node's name.
+    Name(NodeId),
+    /// Prefix of the fleet's keys.
+    Prefix(String<{ keys::key::PREFIX_BYTES_MAX }>),
+    /// One more network, or another password of one that is known.
+    Network(Network),
+    /// Forgets all networks.
+    NoNetworks,
+    /// Address; `None`: DHCP.
+    FixedAddress(Option<FixedAddress>),
+    /// Where the router is; empty: scouting.
+    Router(String<ROUTER_BYTES_MAX>),
+    /// What the router wants to know.
+    Login(Option<Login>),
+    /// One axis; those below it exist too.
+    Axis {
+        /// Its number.
+        axis: u8,
+        /// What its driver demands.
+        settings: AxisSettings,
+    },
+    /// Key for updates.
+    UpdateKey(Option<[u8; 32]>),
+}
+
+/// A setting does not fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SettingError {
+    /// [`NETWORKS_MAX`] are known already.
+    Networks,
+    /// The network has no name, or a password of 1 to 7 bytes, which WPA2 does not take.
+    Network,
+    /// No axis of this number.
+    Axis,
+    /// Not of the form `tcp/HOST:PORT`.
+    Router,
+    /// The prefix is no key.
+    Prefix,
+    /// More than 32 bits of network.
+    Address,
+}
+
+impl Record {
+    /// Applies a change.
+    ///
+    /// # Errors
+    /// It does not fit; the record is as before.
+    pub fn apply(&mut self, setting: Setting) -> Result<(), SettingError> {
+        match setting {
+            Setting::Clear => *self = Self::default(),
+            Setting::Name(name) => self.name = Some(name),
+            Setting::Prefix(prefix) => {
+                if !prefix.is_empty() && keys::Keys::new(&prefix).is_err() {
+                    return Err(SettingError::Prefix);
+                }
+                self.prefix = prefix;
+            }
+            Setting::Network(network) => {
+                let password_bytes = network.password.len();
+                if network.ssid.is_empty() || (1..8).contains(&password_bytes) {
+                    return Err(SettingError::Network);
+                }
+                let known = self.networks.iter_mut().find(|of| of.ssid == network.ssid);
+                match known {
+                    Some(known) => *known = network,
+                    None => {
+                        let full = |_| SettingError::Networks;
+                        self.networks.push(network).map_err(full)?;
+                    }
+                }
+            }
+            Setting::NoNetworks => self.networks.clear(),
+            Setting::FixedAddress(address) => {
+                if address.is_some_and(|address| address.prefix_bits > 32) {
+                    return Err(SettingError::Address);
+                }
+                self.fixed_address = address;
+            }
+            Setting::Router(router) => {
+                if !router.is_empty() && router_address(&router).is_none() {
+                    return Err(SettingError::Router);
+                }
+                self.router = router;
+            }
+            Setting::Login(login) => self.login = login,
+            Setting::Axis { axis, settings } => {
+                let index = usize::from(axis);
+                if index >= AXES_MAX {
+                    return Err(SettingError::Axis);
+                }
+                while self.axes.len() <= index {
+                    let full = |_| SettingError::Axis;
+                    self.axes.push(AxisSettings::default()).map_err(full)?;
+                }
+                self.axes[index] = settings;
+            }
+            Setting::UpdateKey(key) => self.update_key = key,
+        }
+        Ok(())
+    }
+
+    /// Returns whether the node can take part in a fleet.
+    pub fn is_complete(&self) -> bool {
+        self.name.is_some() && !self.networks.is_empty()
+    }
+}
+
+/// Returns host and port of a locator `tcp/HOST:PORT`.
+pub fn router_address(locator: &str) -> Option<(&str, u16)> {
+    let (host, port) = locator.strip_prefix("tcp/")?.rsplit_once(':')?;
+    let port = port.parse().ok().filter(|port| *port != 0)?;
+    (!host.is_empty()).then_some((host, port))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text<const N: usize>(text: &str) -> String<N> {
+        String::try_from(text).expect("short")
+    }
+
+    #[test]
+    fn a_setting_that_does_not_fit_changes_nothing() {
+        let mut record = Record::default();
+        for number in 0..NETWORKS_MAX {
+            let mut ssid = text("shop-");
+            ssid.push(char::from(b'a' + number as u8)).expect("short");
+            let network = Network {
+                ssid,
+                password: text("12345678"),
+            };
+            record.apply(Setting::Network(network)).expect("fits");
+        }
+        let before = record.clone();
+        let network = |ssid, password| {
+            Setting::Network(Network {
+                ssid: text(ssid),
+                password: text(password),
+            })
+        };
+        for (setting, error) in [
+            (network("one-more", ""), SettingError::Networks),
+            (network("shop-a", "1234567"), SettingError::Network),
+            (network("", ""), SettingError::Network),
+            (Setting::Router(text("udp/a:1")), SettingError::Router),
+            (Setting::Router(text("tcp/a:0")), SettingError::Router),
+            (Setting::Prefix(text("a//b")), SettingError::Prefix),
+            (
+                Setting::Axis {
+                    axis: AXES_MAX as u8,
+                    settings: AxisSettings::default(),
+                },
+                SettingError::Axis,
+            ),
+        ] {
+            assert_eq!(record.apply(setting), Err(error));
+        }
+        assert_eq!(record, before);
+        record
+            .apply(network("shop-b", "another one"))
+            .expect("is known");
+        assert_eq!(record.networks.len(), NETWORKS_MAX);
+    }
+
+    #[test]
+    fn the_largest_record_fits() {
+        let mut record = Record {
+            name: Some(NodeId::new("n".repeat_32().as_str()).expect("legal")),
+            ..Record::default()
+        };
+        for _ in 0..keys::key::PREFIX_BYTES_MAX {
+            record.prefix.push('p').expect("fits");
+        }
+        for number in 0..NETWORKS_MAX {
+            let mut network = Network::default();
+            for _ in 0..SSID_BYTES_MAX {
+                network
+                    .ssid
+                    .push(char::from(b'a' + number as u8))
+                    .expect("fits");
+            }
+            for _ in 0..PASSWORD_BYTES_MAX {
+                network.password.push('p').expect("fits");
+            }
+            record.networks.push(network).expect("fits");
+        }
+        for _ in 0..ROUTER_BYTES_MAX {
+            record.router.push('r').expect("fits");
+        }
+        let mut login = Login::default();
+        for _ in 0..USER_BYTES_MAX {
+            login.user.push('u').expect("fits");
+        }
+        for _ in 0..PASSWORD_BYTES_MAX {
+            login.password.push('p').expect("fits");
+        }
+        record.login = Some(login);
+        let most = AxisSettings {
+            high_ns_min: u32::MAX,
+            low_ns_min: u32::MAX,
+            high_ns: u32::MAX,
+            dir_setup_ns: u32::MAX,
+            dir_hold_ns: u32::MAX,
+            stop_accel_hz_per_s: u32::MAX,
+            junction_hz: u32::MAX,
+        };
+        while record.axes.push(most).is_ok() {}
+        record.update_key = Some([0xff; 32]);
+        let mut buffer = [0; RECORD_BYTES_MAX];
+        assert!(postcard::to_slice(&record, &mut buffer).is_ok());
+    }
+
+    trait Repeat {
+        fn repeat_32(&self) -> String<32>;
+    }
+
+    impl Repeat for str {
+        fn repeat_32(&self) -> String<32> {
+            let mut text = String::new();
+            while text.push_str(self).is_ok() {}
+            text
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! A record in flash, twice, so that one is whole at every moment.
+//!
+//! ```text
+//!   copy (one erase unit)                     two of them; the valid one with the higher
+//!   ┌───────┬─────────┬───────┬──────────┬─────┬─────────┐    sequence counts
+//!   │ magic │ version │ bytes │ sequence │ crc │ record… │    little endian
+//!   │  u32  │   u16   │  u16  │   u32    │ u32 │         │
+//!   └───────┴─────────┴───────┴──────────┴─────┴─────────┘
+//! ```
+//!
+//! Writing erases the copy that does not count and fills it, header last: until then the other one
+//! is what is read. The checksum covers header and record.
+
+use crate::record::{RECORD_BYTES_MAX, Record};
+use embedded_storage::nor_flash::NorFlash;
+
+const MAGIC: u32 = 0x464c_5443;
+/// Layout of the header. The record's own fields are appended to without a new version.
+const VERSION: u16 = 1;
+const HEADER_BYTES: usize = 16;
+/// Header and record, in whole words of any flash (16 bytes is the widest here).
+const COPY_BYTES: usize = (HEADER_BYTES + RECORD_BYTES_MAX).next_multiple_of(16);
+
+/// Why a record was not kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StoreError {
+    /// The flash did not do what it was told.
+    Flash,
+    /// The region is smaller than two erase units, or they are smaller than a record.
+    Region,
+}
+
+impl core::fmt::Display for StoreError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Flash => "the flash did not take the record",
+            Self::Region => "the region of the flash is too small",
+        })
+    }
+}
+
+impl core::error::Error for StoreError {}
+
+/// A region of flash that keeps a record.
+#[derive(Debug)]
+pub struct Store<F> {
+    flash: F,
+    /// Copy that counts, and its sequence number.
+    current: Option<(u32, u32)>,
+}
+
+impl<F: NorFlash> Store<F> {
+    /// Takes the region: the first two erase units of `flash`.
+    ///
+    /// # Errors
+    /// It is too small.
+    pub fn new(flash: F) -> Result<Self, StoreError> {
+        if flash.capacity() < 2 * F::ERASE_SIZE
+            || F::ERASE_SIZE < COPY_BYTES
+            || !16_usize.is_multiple_of(F::WRITE_SIZE)
+        {
+            return Err(StoreError::Region);
+        }
+        Ok(Self {
+            flash,
+            current: None,
+        })
+    }
+
+    /// Gives the region back.
+    pub fn into_flash(self) -> F {
+        self.flash
+    }
+
+    /// Returns the record, `None` if there is none that is whole.
+    ///
+    /// # Errors
+    /// The flash cannot be read.
+    pub fn read(&mut self) -> Result<Option<Record>, StoreError> {
+        let mut found: Option<(u32, u32, Record)> = None;
+        for copy in 0..2 {
+            let mut bytes = [0; COPY_BYTES];
+            let at = copy * F::ERASE_SIZE as u32;
+            self.flash
+                .read(at, &mut bytes)
+                .map_err(|_| StoreError::Flash)?;
+            if let Some((sequence, record)) = record_from(&bytes)
+                && found
+                    .as_ref()
+                    .is_none_or(|(_, before, _)| is_newer(sequence, *before))
+            {
+                found = Some((copy, sequence, record));
+            }
+        }
+        self.current = found.as_ref().map(|(copy, sequence, _)| (*copy, *sequence));
+        Ok(found.map(|(_, _, record)| record))
+    }
+
+    /// Keeps a record instead of the one before. Returns its sequence number.
+    ///
+    /// # Errors
+    /// The flash did not take it; the one before still counts.
+    pub fn write(&mut self, record: &Record) -> Result<u32, StoreError> {
+        if self.current.is_none() {
+            self.read()?;
+        }
+        let (copy, sequence) = match self.current {
+            Some((copy, sequence)) => (1 - copy, sequence.wrapping_add(1)),
+            None => (0, 1),
+        };
+        let mut bytes = [0xff; COPY_BYTES];
+        let used = postcard::to_slice(record, &mut bytes[HEADER_BYTES..])
+            .expect("RECORD_BYTES_MAX holds every record")
+            .len();
+        let end = (HEADER_BYTES + used).next_multiple_of(16);
+        write_header(&mut bytes, used as u16, sequence);
+        let base = copy * F::ERASE_SIZE as u32;
+        let flash = |_| StoreError::Flash;
+        self.flash
+            .erase(base, base + F::ERASE_SIZE as u32)
+            .map_err(flash)?;
+        let first = base + HEADER_BYTES as u32;
+        self.flash
+            .write(first, &bytes[HEADER_BYTES..end])
+            .map_err(flash)?;
+        self.flash
+            .write(base, &bytes[..HEADER_BYTES])
+            .map_err(flash)?;
+        let mut written = [0; COPY_BYTES];
+        self.flash.read(base, &mut written).map_err(flash)?;
+        if written[..end] != bytes[..end] {
+            return Err(StoreError::Flash);
+        }
+        self.current = Some((copy, sequence));
+        Ok(sequence)
+    }
+}
+
+/// Sequence numbers may wrap.
+fn is_newer(sequence: u32, before: u32) -> bool {
+    sequence.wrapping_sub(before) as i32 > 0
+}
+
+fn write_header(bytes: &mut [u8], used: u16, sequence: u32) {
+    bytes[0..4].copy_from_slice(&MAGIC.to_le_bytes());
+    bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());
+    bytes[6..8].copy_from_slice(&used.to_le_bytes());
+    bytes[8..12].copy_from_slice(&sequence.to_le_bytes());
+    let crc = checksum(bytes, usize::from(used));
+    bytes[12..16].copy_from_slice(&crc.to_le_bytes());
+}
+
+fn checksum(bytes: &[u8], used: usize) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&bytes[..12]);
+    hasher.update(&bytes[HEADER_BYTES..HEADER_BYTES + used]);
+    hasher.finalize()
+}
+
+fn record_from(bytes: &[u8; COPY_BYTES]) -> Option<(u32, Record)> {
+    let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+    let word = |at: usize| u32::from(half(at)) | u32::from(half(at + 2)) << 16;
+    let used = usize::from(half(6));
+    if word(0) != MAGIC || half(4) != VERSION || used > RECORD_BYTES_MAX {
+        return None;
+    }
+    if word(12) != checksum(bytes, used) {
+        return None;
+    }
+    Some((word(8), decode(&bytes[HEADER_BYTES..HEADER_BYTES + used])?))
+}
+
+/// Reads a record whose last fields may be missing: every default is a row of zero bytes.
+fn decode(bytes: &[u8]) -> Option<Record> {
+    let mut padded = [0; RECORD_BYTES_MAX + 32];
+    padded[..bytes.len()].copy_from_slice(bytes);
+    postcard::take_from_bytes(&padded)
+        .ok()
+        .map(|(record, _)| record)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_fields_are_their_defaults() {
+        assert_eq!(decode(&[]), Some(Record::default()));
+        let record = Record {
+            router: heapless::String::try_from("tcp/a:1").expect("short"),
+            ..Record::default()
+        };
+        let mut buffer = [0; RECORD_BYTES_MAX];
+        let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
+        let shorter = &bytes[..bytes.len() - 3];
+        assert_eq!(decode(shorter), Some(record), "login, axes, update_key");
+    }
+
+    #[test]
+    fn the_newer_sequence_counts_even_behind_the_last_number() {
+        assert!(is_newer(2, 1) && !is_newer(1, 2) && is_newer(0, u32::MAX));
+    }
+}
