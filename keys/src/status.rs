@@ -73,8 +73,6 @@ impl FaultCode {
     pub const UNDERRUN: Self = Self(202);
     /// The planner came too late: the axes stood still in the middle of a ramp or a path.
     pub const PLAN_LATE: Self = Self(204);
-    /// The channels could not be started when it was ordered; nothing was played.
-    pub const START_LATE: Self = Self(205);
     /// Ledger and pulse counter disagree.
     pub const COUNT_MISMATCH: Self = Self(203);
     /// An axis came to a limit, or was told to go beyond one.
@@ -85,6 +83,8 @@ impl FaultCode {
     pub const NOT_THERE: Self = Self(207);
     /// The shift register does not show what it was sent.
     pub const SHIFT_REGISTER: Self = Self(208);
+    /// The channels could not be started when it was ordered; nothing was played.
+    pub const START_LATE: Self = Self(209);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
 

@@ -72,6 +72,8 @@ pub struct AxisSettings {
     pub stop_accel_hz_per_s: u32,
     /// Most that the speed jumps at a corner, Hz.
     pub junction_hz: u32,
+    /// Whether the direction pin is low for positive.
+    pub direction_inverted: bool,
 }
 
 impl Default for AxisSettings {
@@ -85,6 +87,7 @@ impl Default for AxisSettings {
             dir_hold_ns: profile.dir_hold_ns,
             stop_accel_hz_per_s: profile.stop_accel_hz_per_s,
             junction_hz: profile.junction_hz,
+            direction_inverted: profile.direction_inverted,
         }
     }
 }
@@ -99,6 +102,7 @@ impl From<AxisSettings> for AxisProfile {
             dir_hold_ns: settings.dir_hold_ns,
             stop_accel_hz_per_s: settings.stop_accel_hz_per_s,
             junction_hz: settings.junction_hz,
+            direction_inverted: settings.direction_inverted,
         }
     }
 }
@@ -335,6 +339,7 @@ mod tests {
             dir_hold_ns: u32::MAX,
             stop_accel_hz_per_s: u32::MAX,
             junction_hz: u32::MAX,
+            direction_inverted: true,
         };
         while record.axes.push(most).is_ok() {}
         record.update_key = Some([0xff; 32]);

@@ -93,8 +93,9 @@ impl Provision {
                 password: short(&secret(file, "--password-file")?, "--password-file")?,
             })));
         }
-        if common.prefix.prefix() != keys::key::PREFIX_DEFAULT {
-            settings.push(Setting::Prefix(short(common.prefix.prefix(), "--prefix")?));
+        let fleet_keys = common.keys();
+        if fleet_keys.prefix() != keys::key::PREFIX_DEFAULT {
+            settings.push(Setting::Prefix(short(fleet_keys.prefix(), "--prefix")?));
         }
         if let Some(file) = &self.update_key_file {
             let text = secret(file, "--update-key-file")?;
