@@ -11,6 +11,7 @@ use heapless::spsc::{Consumer, Producer};
 use keys::{Keys, LocalMicros, NodeId, NodeTopic, Stop, StopMode};
 use node::{
     Inbound, Outbound,
+    library::Library,
     run::{Host, NodeLink},
 };
 use pico::{
@@ -26,6 +27,8 @@ const SOCKET_BYTES: usize = 16 * 1024;
 struct Remote {
     incoming: Producer<'static, Parcel>,
     outgoing: Consumer<'static, Outbound>,
+    /// Empty: this board keeps no scripts yet, and a get says so.
+    library: Library,
 }
 
 impl Host for Remote {
@@ -62,7 +65,12 @@ impl Host for Remote {
                 // Full: lost, as on the way here. Whoever sent it waits for an answer.
                 let _ = self.incoming.enqueue(parcel);
             }
-            Inbound::Lidar { .. } | Inbound::StopPin { .. } | Inbound::SignalStrength { .. } => {}
+            // The session says none of these: they come from pins, on the other core.
+            Inbound::Lidar { .. }
+            | Inbound::StopPin { .. }
+            | Inbound::Shift { .. }
+            | Inbound::Input(_)
+            | Inbound::SignalStrength { .. } => {}
         }
         WAKE.signal(());
     }
@@ -78,6 +86,13 @@ impl Host for Remote {
         // There is room again.
         WAKE.signal(());
         Some(outbound)
+    }
+
+    /// Not taken: whoever puts a script and reads it back sees that it is not there.
+    fn store_script(&mut self, _now: LocalMicros, _name: &str, _text: Option<&[u8]>) {}
+
+    fn library(&self) -> &Library {
+        &self.library
     }
 }
 
@@ -213,7 +228,11 @@ pub(crate) async fn run(
     let link = NodeLink::declare(&mut session, &keys, &name)
         .expect("a session has room for one node's keys");
     let mut app = LinkApp {
-        remote: Remote { incoming, outgoing },
+        remote: Remote {
+            incoming,
+            outgoing,
+            library: Library::default(),
+        },
         link,
     };
     let receive = Box::leak(vec![0; SOCKET_BYTES].into_boxed_slice());

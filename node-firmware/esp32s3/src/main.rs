@@ -100,6 +100,7 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
         motion: MotionConfig {
             axis_count: board::AXES,
             axes,
+            ..MotionConfig::default()
         },
         ..NodeConfig::new(name, boot)
     }

@@ -9,6 +9,7 @@ use crate::{
     rmt::set_pin,
 };
 use esp_hal::gpio::{Level, Output, OutputConfig};
+use motion::{Ticks, io::enable::OutputChange};
 use node::Outputs;
 
 /// See the module.
@@ -37,4 +38,15 @@ impl Outputs for BoardOutputs {
     }
 
     fn request_lidar(&mut self) {}
+
+    fn set_enable(&mut self, change: OutputChange, _at: Ticks) {
+        // One line for all drivers, high for on; the enable hardware behind it may still say no.
+        if change.output == 0 {
+            set_pin(ENABLE_PIN, change.levels()[1]);
+        }
+    }
+
+    fn shift_out(&mut self, _word: u32) {
+        // Motion shifts nothing where the configuration has no register, and this board's has none.
+    }
 }
