@@ -68,7 +68,7 @@ impl Dashboard {
         if view.focus.is_some() {
             Panel::right("node")
                 .resizable(true)
-                .default_size(330.0)
+                .default_size(400.0)
                 .show(ui, |ui| panels::node::node_ui(ui, model, view, requests));
         }
         CentralPanel::default().show(ui, |ui| {

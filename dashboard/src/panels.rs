@@ -7,6 +7,7 @@ pub mod help;
 pub mod jobs;
 pub mod log;
 pub mod node;
+mod node_plots;
 pub mod release;
 pub mod stop;
 pub mod top;

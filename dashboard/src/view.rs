@@ -4,7 +4,8 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, stop::StopView,
+    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, node::NodeView,
+    stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -54,6 +55,8 @@ pub struct View {
     pub stop: StopView,
     /// The table of nodes.
     pub fleet: FleetView,
+    /// The page of a node.
+    pub node: NodeView,
     /// The list of jobs.
     pub jobs: JobsView,
     /// The composer.

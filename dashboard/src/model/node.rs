@@ -45,6 +45,8 @@ pub struct Sample {
     pub axes: heapless::Vec<AxisStatus, AXES_MAX>,
     /// Commands that it had and that had not ended.
     pub queue_depth: u32,
+    /// Laser power, percent.
+    pub laser_percent: u8,
 }
 
 /// An estimate of the node's clock at one moment, for plots.
@@ -121,6 +123,7 @@ impl Node {
             node_at: status.at,
             axes: status.axes.clone(),
             queue_depth: u32::try_from(depth).unwrap_or(u32::MAX),
+            laser_percent: status.laser_percent,
         });
         self.status = Some((at, status));
     }
