@@ -2,6 +2,7 @@
 //! asked to the link.
 
 use crate::{
+    files::Files,
     keyboard::{self, Action},
     link::Link,
     message::{Message, Moment},
@@ -33,6 +34,8 @@ pub struct Dashboard {
     pub view: View,
     /// What was asked and not yet handed over.
     pub requests: Requests,
+    /// What is being read and written.
+    pub files: Files,
 }
 
 impl Dashboard {
@@ -45,7 +48,9 @@ impl Dashboard {
             model,
             view,
             requests,
+            files,
         } = self;
+        files.serve(ui.ctx(), view);
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
@@ -147,6 +152,7 @@ fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
+        Tab::Pulses => panels::pulses::pulses_ui(ui, view),
     }
 }
 

@@ -42,6 +42,7 @@
 //!     ([`model::limits`]).
 
 pub mod app;
+pub mod files;
 pub mod keyboard;
 pub mod link;
 pub mod message;

@@ -8,6 +8,7 @@
 //! [`Model::tick`] brought. It knows no egui and no zenoh. Every collection has a bound, in
 //! [`limits`].
 
+pub mod capture;
 pub mod effort;
 pub mod jobs;
 pub mod limits;

@@ -8,6 +8,7 @@ pub mod jobs;
 pub mod log;
 pub mod node;
 mod node_plots;
+pub mod pulses;
 pub mod release;
 pub mod stop;
 pub mod top;

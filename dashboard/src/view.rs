@@ -5,7 +5,7 @@
 
 use crate::panels::{
     composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, node::NodeView,
-    stop::StopView,
+    pulses::PulsesView, stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -21,11 +21,13 @@ pub enum Tab {
     Compose,
     /// Lines of text.
     Log,
+    /// Recorded pins.
+    Pulses,
 }
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 3] = [Self::Jobs, Self::Compose, Self::Log];
+    pub const ALL: [Self; 4] = [Self::Jobs, Self::Compose, Self::Log, Self::Pulses];
 
     /// Returns its title.
     pub const fn title(self) -> &'static str {
@@ -33,6 +35,7 @@ impl Tab {
             Self::Jobs => "Jobs",
             Self::Compose => "Compose",
             Self::Log => "Log",
+            Self::Pulses => "Pulses",
         }
     }
 }
@@ -57,6 +60,8 @@ pub struct View {
     pub fleet: FleetView,
     /// The page of a node.
     pub node: NodeView,
+    /// The pulse inspector.
+    pub pulses: PulsesView,
     /// The list of jobs.
     pub jobs: JobsView,
     /// The composer.

@@ -1,0 +1,124 @@
+//! Files that the operator reads and writes: on a thread of their own each, so that the window
+//! draws on. Panels say what they want in their views; [`Files::serve`] does it once a frame.
+
+use crate::{
+    model::capture::{BYTES_MAX, Capture},
+    view::View,
+};
+use std::{
+    fs::File,
+    io::Read as _,
+    path::Path,
+    sync::{
+        Arc,
+        mpsc::{Receiver, Sender, channel},
+    },
+    thread::JoinHandle,
+};
+
+/// Works that run at the same time; more are refused.
+const WORKS_MAX: usize = 8;
+
+/// What became of a file.
+enum Done {
+    /// A capture was read.
+    Capture(String, Result<Arc<Capture>, String>),
+}
+
+/// See the module.
+pub struct Files {
+    results: Receiver<Done>,
+    of_works: Sender<Done>,
+    works: Vec<JoinHandle<()>>,
+}
+
+impl Default for Files {
+    fn default() -> Self {
+        let (of_works, results) = channel();
+        Self {
+            results,
+            of_works,
+            works: Vec::new(),
+        }
+    }
+}
+
+impl Files {
+    /// Begins what the panels want and hands over what is done.
+    pub fn serve(&mut self, ctx: &egui::Context, view: &mut View) {
+        for file in ctx.input(|input| input.raw.dropped_files.clone()) {
+            let path = file.path();
+            if is_capture(path) {
+                view.pulses.path = path.display().to_string();
+                view.pulses.open_wanted = true;
+                view.tab = crate::view::Tab::Pulses;
+            }
+        }
+        if std::mem::take(&mut view.pulses.open_wanted) {
+            let path = view.pulses.path.trim().to_owned();
+            view.pulses.opening();
+            let failed = view.pulses.path.clone();
+            let begun = self.begin(ctx, move || {
+                let capture = read_text(Path::new(&path), BYTES_MAX)
+                    .and_then(|text| Capture::parse(&path, &text));
+                Done::Capture(path, capture.map(Arc::new))
+            });
+            if let Err(why) = begun {
+                view.pulses.opened(failed, Err(why));
+            }
+        }
+        self.works.retain(|work| !work.is_finished());
+        while let Ok(done) = self.results.try_recv() {
+            match done {
+                Done::Capture(path, capture) => view.pulses.opened(path, capture),
+            }
+        }
+    }
+
+    /// Waits until everything that was begun is done; the next [`Files::serve`] hands it over.
+    pub fn wait(&mut self) {
+        for work in self.works.drain(..) {
+            // A panic in there has been printed, and nothing comes of it.
+            let _ = work.join();
+        }
+    }
+
+    fn begin(
+        &mut self,
+        ctx: &egui::Context,
+        work: impl FnOnce() -> Done + Send + 'static,
+    ) -> Result<(), String> {
+        if self.works.len() >= WORKS_MAX {
+            return Err("too many files are being read or written".to_owned());
+        }
+        let (of_work, ctx) = (self.of_works.clone(), ctx.clone());
+        let thread = std::thread::Builder::new().name("file".to_owned());
+        let begun = thread.spawn(move || {
+            // Without a receiver the window is gone.
+            let _ = of_work.send(work());
+            ctx.request_repaint();
+        });
+        self.works.push(begun.map_err(|error| error.to_string())?);
+        Ok(())
+    }
+}
+
+fn is_capture(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension
+        .is_some_and(|extension| matches!(extension.to_ascii_lowercase().as_str(), "vcd" | "csv"))
+}
+
+/// Reads a text file of at most so many bytes.
+fn read_text(path: &Path, bytes_max: u64) -> Result<String, String> {
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    let mut text = String::new();
+    // A file may grow while it is read, and some have no length.
+    let mut bounded = file.take(bytes_max + 1);
+    let read = bounded.read_to_string(&mut text);
+    read.map_err(|error| error.to_string())?;
+    if text.len() as u64 > bytes_max {
+        return Err(format!("larger than {} MiB", bytes_max >> 20));
+    }
+    Ok(text)
+}
