@@ -8,6 +8,7 @@ use crate::{
     message::{Message, Moment},
     model::Model,
     panels,
+    recording::{replay::Replay, session::Session},
     request::{Request, Requests, Scope, Ticket},
     theme,
     view::{Tab, View},
@@ -36,6 +37,8 @@ pub struct Dashboard {
     pub requests: Requests,
     /// What is being read and written.
     pub files: Files,
+    /// What is recorded and shown again.
+    pub session: Session,
 }
 
 impl Dashboard {
@@ -49,18 +52,27 @@ impl Dashboard {
             view,
             requests,
             files,
+            session,
         } = self;
-        files.serve(ui.ctx(), view);
+        files.serve(ui.ctx(), model, session, view);
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
         }
+        // Above are STOP ALL and its effect, which are always live.
+        if session.replay().is_some() {
+            Panel::top("replay").show(ui, |ui| {
+                panels::recording::replay_ui(ui, session, model, view);
+            });
+            ui.ctx().request_repaint_after(FRAME_EVERY);
+        }
+        let model = session.replay().map_or(&*model, Replay::model);
         Panel::bottom("lower")
             .resizable(true)
             .default_size(230.0)
             .min_size(90.0)
             .show(ui, |ui| {
-                lower_ui(ui, model, view, requests);
+                lower_ui(ui, model, session, view, requests);
                 // Else the panel would shrink to what is in it.
                 ui.take_available_space();
             });
@@ -107,7 +119,8 @@ impl Dashboard {
                 }
             }
             Action::SelectAll => {
-                let shown = panels::fleet::shown(&self.model, view);
+                let model = self.session.replay().map_or(&self.model, Replay::model);
+                let shown = panels::fleet::shown(model, view);
                 view.selection = shown.into_iter().map(|node| node.id()).collect();
             }
         }
@@ -115,7 +128,8 @@ impl Dashboard {
 
     /// Returns what was asked since the last call, after the model has been told at `now`.
     pub fn take_requests(&mut self, now: Moment) -> Vec<(Ticket, Request)> {
-        let asked = self.requests.take();
+        let mut asked = self.requests.take();
+        asked.retain(|(_, request)| self.session.lets_out(request));
         for (ticket, request) in &asked {
             let ticket = *ticket;
             let message = match request {
@@ -135,13 +149,25 @@ impl Dashboard {
                 },
                 Request::Cancel { .. } | Request::Refresh | Request::Connect { .. } => continue,
             };
-            self.model.apply(now, message);
+            self.hear(now, message);
         }
         asked
     }
+
+    /// Takes what happened at this moment.
+    pub fn hear(&mut self, at: Moment, message: Message) {
+        self.session.heard(at, &message);
+        self.model.apply(at, message);
+    }
 }
 
-fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+fn lower_ui(
+    ui: &mut Ui,
+    model: &Model,
+    session: &Session,
+    view: &mut View,
+    requests: &mut Requests,
+) {
     ui.horizontal(|ui| {
         for tab in Tab::ALL {
             ui.selectable_value(&mut view.tab, tab, tab.title());
@@ -153,6 +179,7 @@ fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
         Tab::Pulses => panels::pulses::pulses_ui(ui, view),
+        Tab::Recording => panels::recording::recording_ui(ui, session, view),
     }
 }
 
@@ -180,7 +207,7 @@ impl App {
 impl eframe::App for App {
     fn logic(&mut self, _ctx: &egui::Context, _frame: &mut eframe::Frame) {
         for (at, message) in self.link.heard() {
-            self.dashboard.model.apply(at, message);
+            self.dashboard.hear(at, message);
         }
         self.dashboard.model.tick(self.link.now());
     }

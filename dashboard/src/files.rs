@@ -2,7 +2,14 @@
 //! draws on. Panels say what they want in their views; [`Files::serve`] does it once a frame.
 
 use crate::{
-    model::capture::{BYTES_MAX, Capture},
+    model::{
+        Model,
+        capture::{self, Capture},
+    },
+    recording::{
+        self, Recording,
+        session::{Session, Wish},
+    },
     view::View,
 };
 use std::{
@@ -23,6 +30,8 @@ const WORKS_MAX: usize = 8;
 enum Done {
     /// A capture was read.
     Capture(String, Result<Arc<Capture>, String>),
+    /// A recording was read.
+    Recording(String, Result<Recording, String>),
 }
 
 /// See the module.
@@ -45,7 +54,13 @@ impl Default for Files {
 
 impl Files {
     /// Begins what the panels want and hands over what is done.
-    pub fn serve(&mut self, ctx: &egui::Context, view: &mut View) {
+    pub fn serve(
+        &mut self,
+        ctx: &egui::Context,
+        live: &Model,
+        session: &mut Session,
+        view: &mut View,
+    ) {
         for file in ctx.input(|input| input.raw.dropped_files.clone()) {
             let path = file.path();
             if is_capture(path) {
@@ -59,7 +74,7 @@ impl Files {
             view.pulses.opening();
             let failed = view.pulses.path.clone();
             let begun = self.begin(ctx, move || {
-                let capture = read_text(Path::new(&path), BYTES_MAX)
+                let capture = read_text(Path::new(&path), capture::BYTES_MAX)
                     .and_then(|text| Capture::parse(&path, &text));
                 Done::Capture(path, capture.map(Arc::new))
             });
@@ -67,10 +82,40 @@ impl Files {
                 view.pulses.opened(failed, Err(why));
             }
         }
+        session.play(live.now());
+        match view.recording.wish.take() {
+            Some(Wish::Record(path)) => session.record(&path, live),
+            Some(Wish::EndRecord) => session.end_record(),
+            Some(Wish::Open(path)) => {
+                let failed = path.clone();
+                let begun = self.begin(ctx, move || {
+                    let text = read_text(Path::new(&path), recording::BYTES_MAX);
+                    let recording = text.and_then(|text| Recording::parse(&text));
+                    Done::Recording(path, recording)
+                });
+                if let Err(why) = begun {
+                    session.opened(failed, Err(why));
+                }
+            }
+            Some(Wish::EndReplay) => {
+                session.end_replay();
+                // What was chosen in the past is not what is chosen now.
+                view.selection.clear();
+                view.stop.releasing = None;
+            }
+            Some(Wish::Seek(at)) => session.seek(at),
+            Some(Wish::Speed(speed)) => session.set_speed(speed),
+            None => {}
+        }
         self.works.retain(|work| !work.is_finished());
         while let Ok(done) = self.results.try_recv() {
             match done {
                 Done::Capture(path, capture) => view.pulses.opened(path, capture),
+                Done::Recording(path, recording) => {
+                    session.opened(path, recording);
+                    view.selection.clear();
+                    view.stop.releasing = None;
+                }
             }
         }
     }

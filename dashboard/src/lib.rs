@@ -48,6 +48,7 @@ pub mod link;
 pub mod message;
 pub mod model;
 pub mod panels;
+pub mod recording;
 pub mod request;
 pub mod text;
 pub mod theme;

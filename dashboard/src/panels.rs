@@ -9,6 +9,7 @@ pub mod log;
 pub mod node;
 mod node_plots;
 pub mod pulses;
+pub mod recording;
 pub mod release;
 pub mod stop;
 pub mod top;

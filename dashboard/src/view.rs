@@ -5,7 +5,7 @@
 
 use crate::panels::{
     composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, node::NodeView,
-    pulses::PulsesView, stop::StopView,
+    pulses::PulsesView, recording::RecordingView, stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -23,11 +23,19 @@ pub enum Tab {
     Log,
     /// Recorded pins.
     Pulses,
+    /// Recording the session and showing it again.
+    Recording,
 }
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 4] = [Self::Jobs, Self::Compose, Self::Log, Self::Pulses];
+    pub const ALL: [Self; 5] = [
+        Self::Jobs,
+        Self::Compose,
+        Self::Log,
+        Self::Pulses,
+        Self::Recording,
+    ];
 
     /// Returns its title.
     pub const fn title(self) -> &'static str {
@@ -36,6 +44,7 @@ impl Tab {
             Self::Compose => "Compose",
             Self::Log => "Log",
             Self::Pulses => "Pulses",
+            Self::Recording => "Recording",
         }
     }
 }
@@ -62,6 +71,8 @@ pub struct View {
     pub node: NodeView,
     /// The pulse inspector.
     pub pulses: PulsesView,
+    /// Recording and replay.
+    pub recording: RecordingView,
     /// The list of jobs.
     pub jobs: JobsView,
     /// The composer.

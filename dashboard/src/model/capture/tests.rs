@@ -1,3 +1,5 @@
+//! Captures: what is read, what is measured, what is refused.
+
 use super::{
     rules::{Limits, Rule, check},
     *,
