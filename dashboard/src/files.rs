@@ -2,19 +2,22 @@
 //! draws on. Panels say what they want in their views; [`Files::serve`] does it once a frame.
 
 use crate::{
+    export,
     model::{
         Model,
         capture::{self, Capture},
     },
+    panels::node::Export,
     recording::{
         self, Recording,
         session::{Session, Wish},
     },
     view::View,
 };
+use keys::FleetMicros;
 use std::{
     fs::File,
-    io::Read as _,
+    io::{Read as _, Write as _},
     path::Path,
     sync::{
         Arc,
@@ -32,6 +35,8 @@ enum Done {
     Capture(String, Result<Arc<Capture>, String>),
     /// A recording was read.
     Recording(String, Result<Recording, String>),
+    /// A plot was written to this file.
+    Export(Result<String, String>),
 }
 
 /// See the module.
@@ -83,6 +88,8 @@ impl Files {
             }
         }
         session.play(live.now());
+        let shown = session.replay().map_or(live, |replay| replay.model());
+        self.export(ctx, shown, view);
         match view.recording.wish.take() {
             Some(Wish::Record(path)) => session.record(&path, live),
             Some(Wish::EndRecord) => session.end_record(),
@@ -111,12 +118,53 @@ impl Files {
         while let Ok(done) = self.results.try_recv() {
             match done {
                 Done::Capture(path, capture) => view.pulses.opened(path, capture),
+                Done::Export(written) => view.node.exported = Some(written),
                 Done::Recording(path, recording) => {
                     session.opened(path, recording);
                     view.selection.clear();
                     view.stop.releasing = None;
                 }
             }
+        }
+    }
+
+    /// Makes a file of a plot, if that is wanted.
+    fn export(&mut self, ctx: &egui::Context, shown: &Model, view: &mut View) {
+        let Some(export) = view.node.export.take() else {
+            return;
+        };
+        view.node.exported = None;
+        let Some(node) = view.focus.and_then(|id| shown.node(&id)) else {
+            return;
+        };
+        let page = view.node.page;
+        let at = FleetMicros(shown.now().0).to_string();
+        // Neither colons, for other systems, nor fractions of a second.
+        let at: String = at.chars().take(19).filter(|c| *c != ':').collect();
+        let name = format!("{}-{}-{at}", node.id(), page.title().to_lowercase());
+        let path = Path::new(view.node.folder.trim()).join(name);
+        let begun = match export {
+            Export::Csv => {
+                let path = path.with_extension("csv");
+                // At most a thousand lines and a half: quicker made than copied.
+                let text = export::csv(node, page).unwrap_or_default();
+                self.begin(ctx, move || Done::Export(write_new(&path, text.as_bytes())))
+            }
+            Export::Png(region) => {
+                let (path, of_work) = (path.with_extension("png"), self.of_works.clone());
+                let (scale, waker) = (ctx.pixels_per_point(), ctx.clone());
+                ctx.request_screenshot(move |image| {
+                    let picture = export::png(&image.region(&region, Some(scale)));
+                    let written = picture.and_then(|bytes| write_new(&path, &bytes));
+                    // Without a receiver the window is gone.
+                    let _ = of_work.send(Done::Export(written));
+                    waker.request_repaint();
+                });
+                Ok(())
+            }
+        };
+        if let Err(why) = begun {
+            view.node.exported = Some(Err(why));
         }
     }
 
@@ -152,6 +200,15 @@ fn is_capture(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension
         .is_some_and(|extension| matches!(extension.to_ascii_lowercase().as_str(), "vcd" | "csv"))
+}
+
+/// Writes a file that does not exist yet and returns its name.
+fn write_new(path: &Path, bytes: &[u8]) -> Result<String, String> {
+    let name = path.display();
+    let fail = |error: std::io::Error| format!("{name}: {error}");
+    let mut file = File::create_new(path).map_err(fail)?;
+    file.write_all(bytes).map_err(fail)?;
+    Ok(name.to_string())
 }
 
 /// Reads a text file of at most so many bytes.

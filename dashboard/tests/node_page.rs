@@ -138,6 +138,30 @@ fn a_node_that_said_nothing_has_a_page_without_plots() {
     }
 }
 
+#[test]
+fn a_plot_becomes_a_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = page(Page::Motion);
+    window.state_mut().view.node.folder = folder.path().display().to_string();
+    button(&mut window, "Save CSV");
+    window.state_mut().files.wait();
+    window.run_steps(2);
+    assert!(shows(&window, "✔ written: "));
+    let file = folder.path().join("laser-1-motion-2026-11-21T030010.csv");
+    let text = std::fs::read_to_string(&file).expect("the file");
+    let mut lines = text.lines();
+    let head = "heard_unix_us,node_us,queue_commands,laser_percent,\
+                position0_steps,speed0_hz,position1_steps,speed1_hz";
+    assert_eq!(lines.next(), Some(head));
+    let first = "1795230000000000,0,30,0,2000,0,0,1257";
+    assert_eq!(lines.next(), Some(first));
+    assert_eq!(lines.count(), 100);
+    button(&mut window, "Save CSV");
+    window.state_mut().files.wait();
+    window.run_steps(2);
+    assert!(shows(&window, "File exists"), "never over another one");
+}
+
 fn picture(name: &str, page: Page) {
     snapshot(name, |theme| {
         let mut dashboard = circle();

@@ -70,6 +70,23 @@ pub struct NodeView {
     /// Where the pointer is in a plot over time, s before the present.
     #[serde(skip)]
     pub cursor_s: Option<f64>,
+    /// The folder for plots as files.
+    pub folder: String,
+    /// The plot that is to become a file.
+    #[serde(skip)]
+    pub export: Option<Export>,
+    /// What became of the last one.
+    #[serde(skip)]
+    pub exported: Option<Result<String, String>>,
+}
+
+/// What a plot is to become.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Export {
+    /// Its numbers.
+    Csv,
+    /// The picture of this part of the window.
+    Png(egui::Rect),
 }
 
 impl Default for NodeView {
@@ -79,6 +96,9 @@ impl Default for NodeView {
             path_right: 0,
             path_up: 1,
             cursor_s: None,
+            folder: ".".to_owned(),
+            export: None,
+            exported: None,
         }
     }
 }
@@ -128,6 +148,9 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
     });
     ui.separator();
     let of_page = &mut view.node;
+    if matches!(of_page.page, Page::Motion | Page::Path | Page::Clock) {
+        export_ui(ui, of_page);
+    }
     match of_page.page {
         Page::Overview => scrolled(ui, |ui| {
             facts_ui(ui, model, node);
@@ -138,6 +161,33 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         Page::Clock => node_plots::clock_ui(ui, model, node, of_page),
         Page::Lines => lines_ui(ui, model, node),
         Page::Setup => scrolled(ui, |ui| setup_ui(ui, node)),
+    }
+}
+
+/// Shows the buttons that make files of plots.
+fn export_ui(ui: &mut Ui, view: &mut NodeView) {
+    let page = ui.available_rect_before_wrap();
+    ui.horizontal(|ui| {
+        if ui.button("Save CSV").clicked() {
+            view.export = Some(Export::Csv);
+        }
+        if ui.button("Save PNG").clicked() {
+            view.export = Some(Export::Png(page));
+        }
+        let label = ui.label("in");
+        let edit = egui::TextEdit::singleline(&mut view.folder).desired_width(120.0);
+        ui.add(edit).labelled_by(label.id);
+    });
+    match &view.exported {
+        Some(Ok(name)) => {
+            let words = theme::toned(ui, Tone::Good, format!("✔ written: {name}"));
+            ui.add(egui::Label::new(words).wrap());
+        }
+        Some(Err(why)) => {
+            let words = theme::toned(ui, Tone::Bad, format!("✖ {why}"));
+            ui.add(egui::Label::new(words).wrap());
+        }
+        None => {}
     }
 }
 

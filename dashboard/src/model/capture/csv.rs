@@ -70,8 +70,8 @@ pub(super) fn parse(text: &str) -> Result<Capture, String> {
 
 fn unit_ps(name: &str) -> f64 {
     let name = name.to_lowercase();
-    let words = name.split(|c: char| !c.is_alphabetic());
-    let unit = words.filter(|word| !word.is_empty()).last();
+    let mut words = name.split(|c: char| !c.is_alphabetic());
+    let unit = words.rfind(|word| !word.is_empty());
     match unit.unwrap_or_default() {
         "ms" => PS_PER_S / 1e3,
         "us" | "µs" | "μs" => PS_PER_S / 1e6,
