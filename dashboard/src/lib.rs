@@ -47,6 +47,7 @@
 //!     ([`Session::lets_out`](recording::session::Session::lets_out)).
 
 pub mod app;
+pub mod credentials;
 pub mod export;
 pub mod files;
 pub mod keyboard;
