@@ -108,7 +108,12 @@ pub(super) fn path_ui(ui: &mut Ui, node: &Node, view: &mut NodeView) {
         .y_axis_label(format!("axis {up}, steps"))
         .legend(Legend::default().position(Corner::LeftTop))
         .show(ui, move |plot| {
-            plot.line(Line::new("trail", trail).color(color).width(1.5));
+            plot.line(
+                Line::new("trail", trail)
+                    .allow_band(false)
+                    .color(color)
+                    .width(1.5),
+            );
             for run in burnt {
                 plot.line(Line::new("laser on", run).color(laser).width(3.0));
             }
@@ -203,7 +208,9 @@ fn over_time_ui(
                     .style(LineStyle::dotted_dense()),
             );
             for (name, color, points) in lines {
-                plot.line(Line::new(name, PlotPoints::from(points)).color(color));
+                // A band of points a pixel apart would be a wedge where the value jumps.
+                let line = Line::new(name, PlotPoints::from(points)).allow_band(false);
+                plot.line(line.color(color));
             }
             let hovered = plot.response().hovered();
             plot.pointer_coordinate().filter(|_| hovered)
