@@ -2,6 +2,7 @@
 //! asked to the link.
 
 use crate::{
+    files,
     keyboard::{self, Action},
     link::Link,
     message::{Message, Moment},
@@ -46,6 +47,7 @@ impl Dashboard {
             view,
             requests,
         } = self;
+        panels::composer::take_dropped(ui, view);
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
@@ -76,6 +78,8 @@ impl Dashboard {
         });
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
+        panels::composer::open_dropped(view, requests);
+        panels::alarms::call_for_attention(ui, model, view);
     }
 
     /// Does what a key says.
@@ -93,6 +97,7 @@ impl Dashboard {
                 view.tab = Tab::Compose;
                 view.composer.target_nodes(&view.selection);
             }
+            Action::Alarms => view.tab = Tab::Alarms,
             Action::Log => view.tab = Tab::Log,
             Action::Close => {
                 if view.help_open {
@@ -123,12 +128,22 @@ impl Dashboard {
                     ticket,
                     scope: scope.clone(),
                 },
-                Request::Submit { target, text, .. } => Message::JobAsked {
+                Request::Submit {
+                    target,
+                    text,
+                    language,
+                } => Message::JobAsked {
                     ticket,
+                    language: *language,
                     target: target.to_string(),
                     payload: text.clone(),
                 },
-                Request::Cancel { .. } | Request::Refresh | Request::Connect { .. } => continue,
+                Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
+                Request::Cancel { .. }
+                | Request::Refresh
+                | Request::Connect { .. }
+                | Request::ReadFile { .. }
+                | Request::WriteFile { .. } => continue,
             };
             self.model.apply(now, message);
         }
@@ -146,6 +161,7 @@ fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
     match view.tab {
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
+        Tab::Alarms => panels::alarms::alarms_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
     }
 }
@@ -186,7 +202,11 @@ impl eframe::App for App {
             ui.ctx().request_repaint();
         }
         for (ticket, request) in asked {
-            self.link.ask(ticket, request);
+            let ear = self.link.ear();
+            let is_file = files::begin(ticket, &request, move |message| ear.push(message));
+            if !is_file && !request.is_local() {
+                self.link.ask(ticket, request);
+            }
         }
         ui.ctx().request_repaint_after(FRAME_AT_LEAST_EVERY);
     }

@@ -42,12 +42,15 @@
 //!     ([`model::limits`]).
 
 pub mod app;
+pub mod estimate;
+pub mod files;
 pub mod keyboard;
 pub mod link;
 pub mod message;
 pub mod model;
 pub mod panels;
 pub mod request;
+pub mod syntax;
 pub mod text;
 pub mod theme;
 pub mod view;

@@ -1,5 +1,6 @@
 //! The panels: what the model knows, on the screen. One noun a file, one function a panel.
 
+pub mod alarms;
 pub mod composer;
 pub mod fleet;
 pub mod groups;
@@ -7,6 +8,7 @@ pub mod help;
 pub mod jobs;
 pub mod log;
 pub mod node;
+mod preview;
 pub mod release;
 pub mod stop;
 pub mod top;

@@ -4,7 +4,8 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, stop::StopView,
+    alarms::AlarmsView, composer::ComposerView, fleet::FleetView,
+    jobs::JobsView, log::LogView, stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -18,19 +19,27 @@ pub enum Tab {
     Jobs,
     /// Writing and sending a job.
     Compose,
+    /// What needed somebody.
+    Alarms,
     /// Lines of text.
     Log,
 }
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 3] = [Self::Jobs, Self::Compose, Self::Log];
+    pub const ALL: [Self; 4] = [
+        Self::Jobs,
+        Self::Compose,
+        Self::Alarms,
+        Self::Log,
+    ];
 
     /// Returns its title.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Jobs => "Jobs",
             Self::Compose => "Compose",
+            Self::Alarms => "Alarms",
             Self::Log => "Log",
         }
     }
@@ -58,6 +67,8 @@ pub struct View {
     pub jobs: JobsView,
     /// The composer.
     pub composer: ComposerView,
+    /// The list of alarms.
+    pub alarms: AlarmsView,
     /// The log.
     pub log: LogView,
 }

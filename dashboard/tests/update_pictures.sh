@@ -2,7 +2,7 @@
 # Draws the pictures of tests/snapshots anew and packs them tighter. Look at each before committing it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-UPDATE_SNAPSHOTS=1 cargo test -p dashboard --test panels picture
+UPDATE_SNAPSHOTS=1 cargo test -p dashboard --tests picture
 for picture in tests/snapshots/*_{dark,light}.png; do
     mogrify -strip -alpha off -define png:color-type=2 -define png:compression-level=9 \
         -define png:compression-filter=1 "$picture"
