@@ -161,6 +161,7 @@ fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
     match view.tab {
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
+        Tab::GroupJob => panels::group_job::group_job_ui(ui, model, view, requests),
         Tab::Alarms => panels::alarms::alarms_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
     }

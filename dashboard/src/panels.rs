@@ -3,8 +3,10 @@
 pub mod alarms;
 pub mod composer;
 pub mod fleet;
+pub mod group_job;
 pub mod groups;
 pub mod help;
+mod highlight;
 pub mod jobs;
 pub mod log;
 pub mod node;

@@ -4,7 +4,7 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    alarms::AlarmsView, composer::ComposerView, fleet::FleetView,
+    alarms::AlarmsView, composer::ComposerView, fleet::FleetView, group_job::GroupJobView,
     jobs::JobsView, log::LogView, stop::StopView,
 };
 use keys::NodeId;
@@ -19,6 +19,8 @@ pub enum Tab {
     Jobs,
     /// Writing and sending a job.
     Compose,
+    /// Writing and sending a synchronized job.
+    GroupJob,
     /// What needed somebody.
     Alarms,
     /// Lines of text.
@@ -27,9 +29,10 @@ pub enum Tab {
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::Jobs,
         Self::Compose,
+        Self::GroupJob,
         Self::Alarms,
         Self::Log,
     ];
@@ -39,6 +42,7 @@ impl Tab {
         match self {
             Self::Jobs => "Jobs",
             Self::Compose => "Compose",
+            Self::GroupJob => "Group job",
             Self::Alarms => "Alarms",
             Self::Log => "Log",
         }
@@ -67,6 +71,8 @@ pub struct View {
     pub jobs: JobsView,
     /// The composer.
     pub composer: ComposerView,
+    /// The editor of synchronized jobs.
+    pub group_job: GroupJobView,
     /// The list of alarms.
     pub alarms: AlarmsView,
     /// The log.

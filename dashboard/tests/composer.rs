@@ -108,7 +108,7 @@ fn a_selection_gets_a_job_for_each_node_and_one_answer_from_each() {
         Message::Job(Box::new(record)),
     );
     screen.run_steps(2);
-    assert!(shows(&screen, "j-1 on cell-a-1: running"));
+    assert!(shows(&screen, "j-1: running") && shows(&screen, "on cell-a-1"));
     assert!(shows(&screen, "refused: stopped: cell-a-2 is stopped"));
 }
 

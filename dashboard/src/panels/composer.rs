@@ -1,18 +1,17 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
-use super::preview;
+use super::{highlight::highlighted, preview};
 use crate::{
     estimate::{Estimate, estimate},
     message::{Answer, FileOutcome},
     model::{Model, jobs::Sent, select::Pattern},
     request::{Language, Request, Requests, Target, Ticket},
-    syntax::{self, Kind},
-    text,
+    syntax, text,
     theme::{self, Tone},
     view::{Tab, View},
 };
-use egui::{Panel, Rect, ScrollArea, TextEdit, TextFormat, TextStyle, Ui, text::LayoutJob};
+use egui::{Panel, Rect, ScrollArea, TextEdit, Ui};
 use keys::{
     NodeId,
     job::{JobRequest, Work},
@@ -406,39 +405,6 @@ fn editor_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize
     });
 }
 
-/// Returns the text in colours, what is wrong underlined.
-pub(super) fn highlighted(
-    ui: &Ui,
-    language: Language,
-    text: &str,
-    wrong: Option<&Range<usize>>,
-) -> LayoutJob {
-    let font = TextStyle::Monospace.resolve(ui.style());
-    let format = |tone: Tone| TextFormat::simple(font.clone(), tone.color(ui));
-    let mut job = LayoutJob::default();
-    let mut at = 0;
-    for token in syntax::tokens(language, text) {
-        job.append(&text[at..token.range.start], 0.0, format(Tone::Plain));
-        let mut format = format(match token.kind {
-            Kind::Plain => Tone::Plain,
-            Kind::Word => Tone::Busy,
-            Kind::Number => Tone::Warn,
-            Kind::Text => Tone::Good,
-            Kind::Comment => Tone::Quiet,
-        });
-        let is_wrong =
-            |wrong: &Range<usize>| wrong.start < token.range.end && token.range.start < wrong.end;
-        if wrong.is_some_and(is_wrong) {
-            let color = Tone::Bad.color(ui);
-            (format.color, format.underline) = (color, egui::Stroke::new(2.0, color));
-        }
-        job.append(&text[token.range.clone()], 0.0, format);
-        at = token.range.end;
-    }
-    job.append(&text[at..], 0.0, format(Tone::Plain));
-    job
-}
-
 fn reach_ui(ui: &mut Ui, model: &Model, pattern: &Result<Pattern, String>, reach: &[NodeId]) {
     let (tone, words) = match (pattern, reach) {
         (Err(why), _) => (Tone::Quiet, why.clone()),
@@ -490,15 +456,15 @@ fn sent_ui(ui: &mut Ui, model: &Model, view: &mut View) {
                         let record = model.jobs().get(&receipt.job);
                         let state = record.map_or(receipt.state, |record| record.state);
                         let badge = theme::job_badge(state);
-                        let node = record.and_then(|record| record.node);
-                        let node = node.map_or(String::new(), |node| format!(" on {node}"));
-                        let (icon, word) = (badge.icon, badge.word);
-                        let words = format!("{icon} {}{node}: {word}", receipt.job);
+                        let words = format!("{} {}: {}", badge.icon, receipt.job, badge.word);
                         let color = badge.tone.color(ui);
                         let link = ui.button(egui::RichText::new(words).color(color));
                         if link.clicked() {
                             view.jobs.open = Some(receipt.job);
-                            view.tab = crate::view::Tab::Jobs;
+                            view.tab = Tab::Jobs;
+                        }
+                        if let Some(node) = record.and_then(|record| record.node) {
+                            ui.label(format!("on {node}"));
                         }
                     }
                     Err(error) => {

@@ -9,8 +9,20 @@ use crate::{
 use egui::Ui;
 use egui_plot::{Line, Plot, PlotPoints};
 
+/// Least height of the path, points; where there is less room, it is scrolled.
+const PATH_HEIGHT_MIN: f32 = 80.0;
+
 /// Shows an estimate.
 pub(super) fn preview_ui(ui: &mut Ui, estimate: &Estimate) {
+    egui::ScrollArea::vertical()
+        .id_salt("preview")
+        .auto_shrink(false)
+        .show(ui, |ui| {
+            facts_and_path_ui(ui, estimate);
+        });
+}
+
+fn facts_and_path_ui(ui: &mut Ui, estimate: &Estimate) {
     ui.horizontal_wrapped(|ui| {
         ui.label(format!(
             "Estimate: {}",
@@ -46,18 +58,21 @@ pub(super) fn preview_ui(ui: &mut Ui, estimate: &Estimate) {
     if y.is_some() {
         plot = plot.data_aspect(1.0);
     }
-    plot.show_axes(false).allow_scroll(false).show(ui, |plot| {
-        let mut count = 0;
-        for (number, line) in estimate.lines.iter().enumerate() {
-            let points = line.iter().map(|at| {
-                count += 1_u32;
-                match y {
-                    Some(y) => [at[x] as f64, at[y] as f64],
-                    None => [f64::from(count - 1), at[x] as f64],
-                }
-            });
-            let points: PlotPoints<'_> = points.collect();
-            plot.line(Line::new(format!("part {number}"), points).color(color));
-        }
-    });
+    plot.height(ui.available_height().max(PATH_HEIGHT_MIN))
+        .show_axes(false)
+        .allow_scroll(false)
+        .show(ui, |plot| {
+            let mut count = 0;
+            for (number, line) in estimate.lines.iter().enumerate() {
+                let points = line.iter().map(|at| {
+                    count += 1_u32;
+                    match y {
+                        Some(y) => [at[x] as f64, at[y] as f64],
+                        None => [f64::from(count - 1), at[x] as f64],
+                    }
+                });
+                let points: PlotPoints<'_> = points.collect();
+                plot.line(Line::new(format!("part {number}"), points).color(color));
+            }
+        });
 }
