@@ -43,6 +43,7 @@
 
 pub mod app;
 pub mod estimate;
+pub mod export;
 pub mod files;
 pub mod keyboard;
 pub mod link;
