@@ -3,6 +3,7 @@
 
 use crate::{
     files::Files,
+    job_files,
     keyboard::{self, Action},
     link::Link,
     message::{Message, Moment},
@@ -54,6 +55,7 @@ impl Dashboard {
             files,
             session,
         } = self;
+        panels::composer::take_dropped(ui, view);
         files.serve(ui.ctx(), model, session, view);
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
@@ -93,6 +95,8 @@ impl Dashboard {
         });
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
+        panels::composer::open_dropped(view, requests);
+        panels::alarms::call_for_attention(ui, model, view);
     }
 
     /// Does what a key says.
@@ -110,6 +114,7 @@ impl Dashboard {
                 view.tab = Tab::Compose;
                 view.composer.target_nodes(&view.selection);
             }
+            Action::Alarms => view.tab = Tab::Alarms,
             Action::Log => view.tab = Tab::Log,
             Action::Close => {
                 if view.help_open {
@@ -142,12 +147,22 @@ impl Dashboard {
                     ticket,
                     scope: scope.clone(),
                 },
-                Request::Submit { target, text, .. } => Message::JobAsked {
+                Request::Submit {
+                    target,
+                    text,
+                    language,
+                } => Message::JobAsked {
                     ticket,
+                    language: *language,
                     target: target.to_string(),
                     payload: text.clone(),
                 },
-                Request::Cancel { .. } | Request::Refresh | Request::Connect { .. } => continue,
+                Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
+                Request::Cancel { .. }
+                | Request::Refresh
+                | Request::Connect { .. }
+                | Request::ReadFile { .. }
+                | Request::WriteFile { .. } => continue,
             };
             self.hear(now, message);
         }
@@ -177,6 +192,8 @@ fn lower_ui(
     match view.tab {
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
+        Tab::GroupJob => panels::group_job::group_job_ui(ui, model, view, requests),
+        Tab::Alarms => panels::alarms::alarms_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
         Tab::Pulses => panels::pulses::pulses_ui(ui, view),
         Tab::Recording => panels::recording::recording_ui(ui, session, view),
@@ -219,7 +236,11 @@ impl eframe::App for App {
             ui.ctx().request_repaint();
         }
         for (ticket, request) in asked {
-            self.link.ask(ticket, request);
+            let ear = self.link.ear();
+            let is_file = job_files::begin(ticket, &request, move |message| ear.push(message));
+            if !is_file && !request.is_local() {
+                self.link.ask(ticket, request);
+            }
         }
         ui.ctx().request_repaint_after(FRAME_AT_LEAST_EVERY);
     }

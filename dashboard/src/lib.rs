@@ -48,15 +48,19 @@
 
 pub mod app;
 pub mod credentials;
+pub mod estimate;
 pub mod export;
 pub mod files;
+pub mod job_files;
 pub mod keyboard;
 pub mod link;
 pub mod message;
 pub mod model;
 pub mod panels;
 pub mod recording;
+pub mod records;
 pub mod request;
+pub mod syntax;
 pub mod text;
 pub mod theme;
 pub mod view;

@@ -141,6 +141,11 @@ impl Link {
         self.clock.now()
     }
 
+    /// Returns the way for what this computer itself has to tell.
+    pub fn ear(&self) -> Arc<Inbox> {
+        Arc::clone(&self.inbox)
+    }
+
     /// Hands a request over and returns at once. The answer comes with what is heard.
     pub fn ask(&self, ticket: Ticket, request: Request) {
         let channel = match request {

@@ -4,8 +4,9 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, node::NodeView,
-    pulses::PulsesView, recording::RecordingView, stop::StopView,
+    alarms::AlarmsView, composer::ComposerView, fleet::FleetView, group_job::GroupJobView,
+    jobs::JobsView, log::LogView, node::NodeView, pulses::PulsesView, recording::RecordingView,
+    stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,10 @@ pub enum Tab {
     Jobs,
     /// Writing and sending a job.
     Compose,
+    /// Writing and sending a synchronized job.
+    GroupJob,
+    /// What needed somebody.
+    Alarms,
     /// Lines of text.
     Log,
     /// Recorded pins.
@@ -29,9 +34,11 @@ pub enum Tab {
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::Jobs,
         Self::Compose,
+        Self::GroupJob,
+        Self::Alarms,
         Self::Log,
         Self::Pulses,
         Self::Recording,
@@ -42,6 +49,8 @@ impl Tab {
         match self {
             Self::Jobs => "Jobs",
             Self::Compose => "Compose",
+            Self::GroupJob => "Group job",
+            Self::Alarms => "Alarms",
             Self::Log => "Log",
             Self::Pulses => "Pulses",
             Self::Recording => "Recording",
@@ -77,6 +86,10 @@ pub struct View {
     pub jobs: JobsView,
     /// The composer.
     pub composer: ComposerView,
+    /// The editor of synchronized jobs.
+    pub group_job: GroupJobView,
+    /// The list of alarms.
+    pub alarms: AlarmsView,
     /// The log.
     pub log: LogView,
 }

@@ -268,6 +268,21 @@ impl Node {
         }
     }
 
+    /// Returns the number of its last fault.
+    pub fn last_fault_code(&self) -> Option<u16> {
+        let own = self.latest_status().and_then(|status| status.faults.last());
+        let told = || self.latest_record()?.faults.last().map(|fault| fault.code);
+        own.map(|fault| fault.code.0).or_else(told)
+    }
+
+    /// Returns why it was stopped last, in the words that clients see.
+    pub fn stop_reason(&self) -> Option<&'static str> {
+        let own = self.latest_status().and_then(|status| status.stop.as_ref());
+        let told = || Some(self.latest_record()?.stopped?.reason);
+        let reason = own.map(|stop| stop.reason).or_else(told);
+        reason.map(keys::StopReason::as_str)
+    }
+
     /// Returns what it said in the last minutes, oldest first.
     pub fn samples(&self) -> &Ring<Sample, SAMPLES_MAX> {
         &self.samples

@@ -141,7 +141,7 @@ pub fn replay_ui(ui: &mut Ui, session: &Session, live: &Model, view: &mut View) 
         "The bar above and STOP ALL are live: {} alive, {}. STOP ALL stops the live fleet; \
          nothing else is sent.",
         totals.alive,
-        text::count(totals.alarms, "alarm")
+        text::count(live.alarms().unseen(), "alarm")
     );
     let mut tone = Tone::Plain;
     if let Some(refused) = session.refused() {

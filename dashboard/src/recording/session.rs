@@ -105,6 +105,9 @@ impl Session {
                 scope: Scope::All, ..
             } => return true,
             _ if self.replay.is_none() => return true,
+            Request::ReadFile { .. } | Request::WriteFile { .. } => return true,
+            // The alarm of this number is another one now.
+            Request::Acknowledge { .. } => "acknowledging".to_owned(),
             Request::Stop { scope, .. } => format!("stop of {scope}"),
             Request::Release { scope } => format!("release of {scope}"),
             Request::Submit { target, .. } => format!("job for {target}"),

@@ -2,14 +2,20 @@
 
 #![allow(dead_code, reason = "each test binary uses its own part of it")]
 
-use dashboard::app::Dashboard;
-use egui::Role;
+use dashboard::{
+    app::Dashboard,
+    request::{Request, Ticket},
+};
+use egui::{Role, Theme};
 use egui_kittest::{
     Harness, OsThreshold, SnapshotOptions, SnapshotResults, kittest::Queryable as _,
 };
 
 /// The window with a dashboard in it.
 pub(crate) type Window = Harness<'static, Dashboard>;
+
+/// The same.
+pub(crate) type Screen = Window;
 
 /// Shows a dashboard in a window of the usual size.
 pub(crate) fn show(dashboard: Dashboard) -> Window {
@@ -70,6 +76,34 @@ pub(crate) fn snapshot(name: &str, prepare: impl Fn(egui::Theme) -> Window) {
         let mut window = prepare(theme);
         window.snapshot_options(format!("{name}_{suffix}"), &options);
         results.extend_harness(&mut window);
+    }
+    results.unwrap();
+}
+
+/// Returns what was asked since the last call.
+pub(crate) fn asked(screen: &mut Screen) -> Vec<(Ticket, Request)> {
+    let now = screen.state().model.now();
+    let asked = screen.state_mut().take_requests(now);
+    screen.run_steps(2);
+    asked
+}
+
+/// Small, so that each picture stays below 100 kB; also what a small screen shows.
+const PICTURE_SIZE: [f32; 2] = [980.0, 560.0];
+
+/// Compares pictures, dark and light, with those that were looked at.
+pub(crate) fn picture(name: &str, dashboard: impl Fn() -> Dashboard) {
+    // Other versions of the software renderer draw edges of glyphs a little differently.
+    let options = SnapshotOptions::new()
+        .threshold(OsThreshold::new(1.5))
+        .max_failed_pixels(OsThreshold::new(400));
+    let mut results = SnapshotResults::new();
+    for (theme, suffix) in [(Theme::Dark, "dark"), (Theme::Light, "light")] {
+        let mut screen = show_in(dashboard(), theme, PICTURE_SIZE);
+        screen.remove_cursor();
+        screen.run_steps(2);
+        screen.snapshot_options(format!("{name}_{suffix}"), &options);
+        results.extend_harness(&mut screen);
     }
     results.unwrap();
 }
