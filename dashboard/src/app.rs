@@ -2,11 +2,14 @@
 //! asked to the link.
 
 use crate::{
+    files::Files,
+    job_files,
     keyboard::{self, Action},
     link::Link,
     message::{Message, Moment},
     model::Model,
     panels,
+    recording::{replay::Replay, session::Session},
     request::{Request, Requests, Scope, Ticket},
     theme,
     view::{Tab, View},
@@ -33,6 +36,10 @@ pub struct Dashboard {
     pub view: View,
     /// What was asked and not yet handed over.
     pub requests: Requests,
+    /// What is being read and written.
+    pub files: Files,
+    /// What is recorded and shown again.
+    pub session: Session,
 }
 
 impl Dashboard {
@@ -45,17 +52,29 @@ impl Dashboard {
             model,
             view,
             requests,
+            files,
+            session,
         } = self;
+        panels::composer::take_dropped(ui, view);
+        files.serve(ui.ctx(), model, session, view);
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
         }
+        // Above are STOP ALL and its effect, which are always live.
+        if session.replay().is_some() {
+            Panel::top("replay").show(ui, |ui| {
+                panels::recording::replay_ui(ui, session, model, view);
+            });
+            ui.ctx().request_repaint_after(FRAME_EVERY);
+        }
+        let model = session.replay().map_or(&*model, Replay::model);
         Panel::bottom("lower")
             .resizable(true)
             .default_size(230.0)
             .min_size(90.0)
             .show(ui, |ui| {
-                lower_ui(ui, model, view, requests);
+                lower_ui(ui, model, session, view, requests);
                 // Else the panel would shrink to what is in it.
                 ui.take_available_space();
             });
@@ -68,7 +87,7 @@ impl Dashboard {
         if view.focus.is_some() {
             Panel::right("node")
                 .resizable(true)
-                .default_size(330.0)
+                .default_size(400.0)
                 .show(ui, |ui| panels::node::node_ui(ui, model, view, requests));
         }
         CentralPanel::default().show(ui, |ui| {
@@ -76,6 +95,8 @@ impl Dashboard {
         });
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
+        panels::composer::open_dropped(view, requests);
+        panels::alarms::call_for_attention(ui, model, view);
     }
 
     /// Does what a key says.
@@ -93,6 +114,7 @@ impl Dashboard {
                 view.tab = Tab::Compose;
                 view.composer.target_nodes(&view.selection);
             }
+            Action::Alarms => view.tab = Tab::Alarms,
             Action::Log => view.tab = Tab::Log,
             Action::Close => {
                 if view.help_open {
@@ -102,7 +124,8 @@ impl Dashboard {
                 }
             }
             Action::SelectAll => {
-                let shown = panels::fleet::shown(&self.model, view);
+                let model = self.session.replay().map_or(&self.model, Replay::model);
+                let shown = panels::fleet::shown(model, view);
                 view.selection = shown.into_iter().map(|node| node.id()).collect();
             }
         }
@@ -110,7 +133,8 @@ impl Dashboard {
 
     /// Returns what was asked since the last call, after the model has been told at `now`.
     pub fn take_requests(&mut self, now: Moment) -> Vec<(Ticket, Request)> {
-        let asked = self.requests.take();
+        let mut asked = self.requests.take();
+        asked.retain(|(_, request)| self.session.lets_out(request));
         for (ticket, request) in &asked {
             let ticket = *ticket;
             let message = match request {
@@ -123,20 +147,42 @@ impl Dashboard {
                     ticket,
                     scope: scope.clone(),
                 },
-                Request::Submit { target, text, .. } => Message::JobAsked {
+                Request::Submit {
+                    target,
+                    text,
+                    language,
+                } => Message::JobAsked {
                     ticket,
+                    language: *language,
                     target: target.to_string(),
                     payload: text.clone(),
                 },
-                Request::Cancel { .. } | Request::Refresh | Request::Connect { .. } => continue,
+                Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
+                Request::Cancel { .. }
+                | Request::Refresh
+                | Request::Connect { .. }
+                | Request::ReadFile { .. }
+                | Request::WriteFile { .. } => continue,
             };
-            self.model.apply(now, message);
+            self.hear(now, message);
         }
         asked
     }
+
+    /// Takes what happened at this moment.
+    pub fn hear(&mut self, at: Moment, message: Message) {
+        self.session.heard(at, &message);
+        self.model.apply(at, message);
+    }
 }
 
-fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+fn lower_ui(
+    ui: &mut Ui,
+    model: &Model,
+    session: &Session,
+    view: &mut View,
+    requests: &mut Requests,
+) {
     ui.horizontal(|ui| {
         for tab in Tab::ALL {
             ui.selectable_value(&mut view.tab, tab, tab.title());
@@ -146,7 +192,11 @@ fn lower_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
     match view.tab {
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
+        Tab::GroupJob => panels::group_job::group_job_ui(ui, model, view, requests),
+        Tab::Alarms => panels::alarms::alarms_ui(ui, model, view, requests),
         Tab::Log => panels::log::log_ui(ui, model, view),
+        Tab::Pulses => panels::pulses::pulses_ui(ui, view),
+        Tab::Recording => panels::recording::recording_ui(ui, session, view),
     }
 }
 
@@ -174,7 +224,7 @@ impl App {
 impl eframe::App for App {
     fn logic(&mut self, _ctx: &egui::Context, _frame: &mut eframe::Frame) {
         for (at, message) in self.link.heard() {
-            self.dashboard.model.apply(at, message);
+            self.dashboard.hear(at, message);
         }
         self.dashboard.model.tick(self.link.now());
     }
@@ -186,7 +236,11 @@ impl eframe::App for App {
             ui.ctx().request_repaint();
         }
         for (ticket, request) in asked {
-            self.link.ask(ticket, request);
+            let ear = self.link.ear();
+            let is_file = job_files::begin(ticket, &request, move |message| ear.push(message));
+            if !is_file && !request.is_local() {
+                self.link.ask(ticket, request);
+            }
         }
         ui.ctx().request_repaint_after(FRAME_AT_LEAST_EVERY);
     }

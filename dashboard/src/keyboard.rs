@@ -16,6 +16,8 @@ pub enum Action {
     Jobs,
     /// Show the composer.
     Compose,
+    /// Show the alarms.
+    Alarms,
     /// Show the log.
     Log,
     /// Close what is open: help, the question before a release, the node's page.
@@ -36,7 +38,7 @@ enum Stroke {
 }
 
 /// Action, stroke, the stroke's name, what it does.
-const TABLE: [(Action, Stroke, &str, &str); 10] = [
+const TABLE: [(Action, Stroke, &str, &str); 11] = [
     (
         Action::StopAll,
         Stroke::Key(Modifiers::NONE, Key::F1),
@@ -73,6 +75,12 @@ const TABLE: [(Action, Stroke, &str, &str); 10] = [
         Stroke::Key(Modifiers::COMMAND, Key::N),
         "Ctrl+N",
         "compose a job for the selection",
+    ),
+    (
+        Action::Alarms,
+        Stroke::Key(Modifiers::COMMAND, Key::M),
+        "Ctrl+M",
+        "show the alarms",
     ),
     (
         Action::Log,

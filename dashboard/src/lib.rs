@@ -40,14 +40,27 @@
 //!    them is a plain character while a text field has the focus.
 //! 10. **Long lists draw only the rows in sight** and have a bound in the model
 //!     ([`model::limits`]).
+//! 11. **Files are read and written by [`files`]**, on threads of their own, with bounds, and never
+//!     over one that exists. A panel says what it wants in its view.
+//! 12. **The past is never taken for the present**: while a [`recording`] is shown its bar says so,
+//!     what is above the bar is live, and no request but STOP ALL leaves
+//!     ([`Session::lets_out`](recording::session::Session::lets_out)).
 
 pub mod app;
+pub mod credentials;
+pub mod estimate;
+pub mod export;
+pub mod files;
+pub mod job_files;
 pub mod keyboard;
 pub mod link;
 pub mod message;
 pub mod model;
 pub mod panels;
+pub mod recording;
+pub mod records;
 pub mod request;
+pub mod syntax;
 pub mod text;
 pub mod theme;
 pub mod view;

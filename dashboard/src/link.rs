@@ -19,7 +19,7 @@ use crate::{
     request::{Request, Ticket},
 };
 use inbox::Inbox;
-use keys::Keys;
+use keys::{Keys, credentials::Credentials};
 use std::{
     sync::Arc,
     thread::JoinHandle,
@@ -43,15 +43,8 @@ pub enum Place {
     Scouted,
     /// This locator and nothing else.
     At(String),
-}
-
-/// User and password, where the router asks for them.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Credentials {
-    /// The user.
-    pub user: String,
-    /// The password.
-    pub password: String,
+    /// The first of these that answers.
+    OneOf(Vec<String>),
 }
 
 /// What the link needs to know.
@@ -61,7 +54,7 @@ pub struct LinkConfig {
     pub place: Place,
     /// The prefix of the fleet.
     pub keys: Keys,
-    /// For routers that ask.
+    /// For routers that ask, and the only certificates that are trusted.
     pub credentials: Option<Credentials>,
 }
 
@@ -146,6 +139,11 @@ impl Link {
     /// Returns the present.
     pub fn now(&self) -> Moment {
         self.clock.now()
+    }
+
+    /// Returns the way for what this computer itself has to tell.
+    pub fn ear(&self) -> Arc<Inbox> {
+        Arc::clone(&self.inbox)
     }
 
     /// Hands a request over and returns at once. The answer comes with what is heard.

@@ -4,9 +4,10 @@ use anyhow::{Context, bail};
 use clap::Parser;
 use dashboard::{
     app::{App, FRAME_EVERY},
-    link::{CONNECT_DEFAULT, Clock, Credentials, Link, LinkConfig, Place},
+    credentials::read,
+    link::{CONNECT_DEFAULT, Clock, Link, LinkConfig, Place},
 };
-use keys::{Keys, key::PREFIX_DEFAULT};
+use keys::{Keys, credentials::Credentials, key::PREFIX_DEFAULT};
 use std::path::{Path, PathBuf};
 
 /// The operator's window on a fleet.
@@ -16,7 +17,7 @@ use std::path::{Path, PathBuf};
 #[command(name = "dashboard", version)]
 struct Arguments {
     /// The gateway's address.
-    #[arg(long, env = "FLEET_CONNECT", value_name = "tcp/HOST:PORT")]
+    #[arg(long, env = "FLEET_CONNECT", value_name = "tcp|tls/HOST:PORT")]
     connect: Option<String>,
     /// Take whatever router scouting finds.
     #[arg(long, conflicts_with = "connect")]
@@ -24,6 +25,15 @@ struct Arguments {
     /// The prefix of all keys.
     #[arg(long, env = "FLEET_PREFIX", default_value = PREFIX_DEFAULT)]
     prefix: String,
+    /// A file with address, user, password and authority, as `fleet users` writes it. Nobody but
+    /// its owner may be allowed to read it.
+    #[arg(
+        long,
+        env = "FLEET_CREDENTIALS",
+        value_name = "FILE",
+        conflicts_with_all = ["user", "password_file"]
+    )]
+    credentials: Option<PathBuf>,
     /// The user, where the router asks for one.
     #[arg(long, env = "FLEET_USER", requires = "password_file")]
     user: Option<String>,
@@ -59,17 +69,17 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn link_config(arguments: &Arguments) -> anyhow::Result<LinkConfig> {
-    let place = match (&arguments.connect, arguments.scout) {
-        (Some(locator), _) => Place::At(checked(locator)?),
-        (None, true) => Place::Scouted,
-        (None, false) => Place::Automatic,
-    };
-    let credentials = match (&arguments.user, &arguments.password_file) {
-        (Some(user), Some(file)) => Some(Credentials {
-            user: user.clone(),
-            password: password(file)?,
-        }),
-        _ => None,
+    let credentials = credentials(arguments)?;
+    let named = credentials.as_ref().map(|read| read.connect.clone());
+    let named = named.filter(|named| !named.is_empty());
+    let place = match (&arguments.connect, arguments.scout, named) {
+        (Some(locator), ..) => Place::At(checked(locator)?),
+        (None, true, _) => Place::Scouted,
+        (None, false, Some(named)) => {
+            let named = named.iter().map(|locator| checked(locator));
+            Place::OneOf(named.collect::<anyhow::Result<_>>()?)
+        }
+        (None, false, None) => Place::Automatic,
     };
     Ok(LinkConfig {
         place,
@@ -78,9 +88,25 @@ fn link_config(arguments: &Arguments) -> anyhow::Result<LinkConfig> {
     })
 }
 
+fn credentials(arguments: &Arguments) -> anyhow::Result<Option<Credentials>> {
+    if let Some(file) = &arguments.credentials {
+        return read(file).context("--credentials").map(Some);
+    }
+    let (Some(user), Some(file)) = (&arguments.user, &arguments.password_file) else {
+        return Ok(None);
+    };
+    Ok(Some(Credentials {
+        connect: Vec::new(),
+        user: user.clone(),
+        password: password(file)?,
+        ca: None,
+    }))
+}
+
 fn checked(locator: &str) -> anyhow::Result<String> {
-    if !locator.starts_with("tcp/") || !locator.contains(':') {
-        bail!("--connect {locator}: an address has the form {CONNECT_DEFAULT}");
+    let known = locator.starts_with("tcp/") || locator.starts_with("tls/");
+    if !known || !locator.contains(':') {
+        bail!("{locator}: an address has the form {CONNECT_DEFAULT} or tls/HOST:PORT");
     }
     Ok(locator.to_owned())
 }

@@ -1,6 +1,6 @@
 //! Everything that can happen to the model, as the link heard it or the operator asked it.
 
-use crate::request::{Scope, Ticket};
+use crate::request::{Language, Scope, Ticket};
 use keys::{
     JobId, NodeId, Status, StopMode,
     record::{JobError, JobRecord, NodeRecord, Receipt},
@@ -93,6 +93,20 @@ pub enum Message {
         target: String,
         /// What was sent.
         payload: String,
+        /// In which language.
+        language: Language,
+    },
+    /// What became of a request about a file.
+    File {
+        /// The request.
+        ticket: Ticket,
+        /// What became of it.
+        outcome: FileOutcome,
+    },
+    /// The operator has seen an alarm.
+    Acknowledged {
+        /// Which; all if `None`.
+        alarm: Option<u64>,
     },
     /// What became of a request.
     Answer {
@@ -101,6 +115,25 @@ pub enum Message {
         /// What became of it.
         answer: Answer,
     },
+}
+
+/// What became of a request about a file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FileOutcome {
+    /// It was read.
+    Read {
+        /// Which.
+        path: String,
+        /// What is in it.
+        text: String,
+    },
+    /// It was written.
+    Written {
+        /// Which, in full.
+        path: String,
+    },
+    /// It could not be read or written; the words name it.
+    Failed(String),
 }
 
 /// What became of the link.

@@ -1,13 +1,15 @@
 //! Everything that is known, and how it changes: messages in, nothing out.
 //!
 //! ```text
-//!  Message ──apply──▶ Model { link · nodes · jobs · log · stops · sent }  ──read──▶ panels
+//!  Message ──apply──▶ Model { link · nodes · jobs · log · stops · alarms }  ──read──▶ panels
 //! ```
 //!
 //! The model never asks for the time: [`Model::now`] is the latest moment that a message or
 //! [`Model::tick`] brought. It knows no egui and no zenoh. Every collection has a bound, in
 //! [`limits`].
 
+pub mod alarms;
+pub mod capture;
 pub mod effort;
 pub mod jobs;
 pub mod limits;
@@ -18,9 +20,10 @@ pub mod ring;
 pub mod select;
 
 use crate::{
-    message::{Answer, LinkEvent, Message, Moment},
+    message::{Answer, FileOutcome, LinkEvent, Message, Moment},
     request::{Scope, Ticket},
 };
+use alarms::Alarms;
 use effort::{Effort, Kind};
 use jobs::Jobs;
 use keys::{
@@ -43,6 +46,9 @@ pub struct Model {
     jobs: Jobs,
     log: Log,
     efforts: VecDeque<Effort>,
+    file: Option<(Ticket, FileOutcome)>,
+    alarms: Alarms,
+    alarms_checked: Moment,
     missed: u64,
     unreadable: u64,
 }
@@ -64,8 +70,6 @@ pub struct Totals {
     pub running: usize,
     /// With the stop latch set.
     pub stopped: usize,
-    /// Nodes that need somebody: see [`Node::concern`].
-    pub alarms: usize,
     /// The largest clock error of the nodes that are there, µs; `None` if none is known.
     pub worst_clock_error_us: Option<f64>,
     /// Nodes that are there and whose clock is not known.
@@ -85,10 +89,15 @@ impl Model {
                     let word = if alive { "is there" } else { "is gone" };
                     self.log.push(at, Source::Node(node), word.to_owned());
                 }
+                self.check_alarms_of(at, node);
             }
             Message::Node(record) => self.record(at, *record),
             Message::Status { node, status } => self.status(at, node, *status),
-            Message::Job(record) => self.jobs.record(*record),
+            Message::Job(record) => {
+                let promised_us = self.jobs.promised_skew_us(&record.job);
+                self.alarms.job(at, &record, promised_us);
+                self.jobs.record(*record);
+            }
             Message::Log { node, text } => self.log.push(at, Source::Node(node), text),
             Message::Unreadable { key, why } => {
                 self.unreadable += 1;
@@ -120,14 +129,26 @@ impl Model {
                 ticket,
                 target,
                 payload,
-            } => self.jobs.asked(ticket, target, payload, at),
+                language,
+            } => self.jobs.asked(ticket, target, payload, language, at),
             Message::Answer { ticket, answer } => self.answer(at, ticket, answer),
+            Message::File { ticket, outcome } => self.file = Some((ticket, outcome)),
+            Message::Acknowledged { alarm } => self.alarms.acknowledge(at, alarm),
         }
     }
 
     /// Moves the present on. An earlier moment is ignored.
     pub fn tick(&mut self, now: Moment) {
         self.now = self.now.max(now);
+        // Silence and clocks that stay unknown come without a message.
+        if self.now.since_s(self.alarms_checked) >= limits::ALARMS_EVERY_S {
+            self.alarms_checked = self.now;
+            if self.link.is_up() {
+                for node in self.nodes.values() {
+                    self.alarms.check(self.now, node);
+                }
+            }
+        }
     }
 
     /// Returns the present.
@@ -171,6 +192,17 @@ impl Model {
         self.efforts.iter().rev()
     }
 
+    /// Returns what became of a request about a file, if it was the last of them.
+    pub fn file(&self, ticket: Ticket) -> Option<&FileOutcome> {
+        let (of, outcome) = self.file.as_ref()?;
+        (*of == ticket).then_some(outcome)
+    }
+
+    /// Returns what needed somebody.
+    pub fn alarms(&self) -> &Alarms {
+        &self.alarms
+    }
+
     /// Returns how many messages were dropped since the start.
     pub fn missed(&self) -> u64 {
         self.missed
@@ -204,7 +236,6 @@ impl Model {
             }
             totals.running += usize::from(node.word() == NodeWord::Running);
             totals.stopped += usize::from(node.word() == NodeWord::Stopped);
-            totals.alarms += usize::from(self.concern(node).is_some());
             if node.is_there() {
                 match node.clock() {
                     Some(clock) => {
@@ -243,8 +274,18 @@ impl Model {
     }
 
     fn record(&mut self, at: Moment, record: NodeRecord) {
-        if let Some(node) = self.node_mut(record.node, at) {
+        let id = record.node;
+        if let Some(node) = self.node_mut(id, at) {
             node.record(at, record);
+        }
+        self.check_alarms_of(at, id);
+    }
+
+    fn check_alarms_of(&mut self, at: Moment, id: NodeId) {
+        if let Some(node) = self.nodes.get(&id)
+            && self.link.is_up()
+        {
+            self.alarms.check(at, node);
         }
     }
 
@@ -252,9 +293,10 @@ impl Model {
         for effort in &mut self.efforts {
             effort.heard(at, node, status.state);
         }
-        if let Some(node) = self.node_mut(node, at) {
-            node.status(at, status);
+        if let Some(known) = self.node_mut(node, at) {
+            known.status(at, status);
         }
+        self.check_alarms_of(at, node);
     }
 
     fn expected(&self, scope: &Scope, wanted: impl Fn(&Node) -> bool) -> Vec<NodeId> {

@@ -1,12 +1,19 @@
 //! The panels: what the model knows, on the screen. One noun a file, one function a panel.
 
+pub mod alarms;
 pub mod composer;
 pub mod fleet;
+pub mod group_job;
 pub mod groups;
 pub mod help;
+mod highlight;
 pub mod jobs;
 pub mod log;
 pub mod node;
+mod node_plots;
+mod preview;
+pub mod pulses;
+pub mod recording;
 pub mod release;
 pub mod stop;
 pub mod top;

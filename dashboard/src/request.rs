@@ -55,6 +55,8 @@ impl std::fmt::Display for Scope {
 pub enum Target {
     /// A node, or every node of a wild chunk: not synchronized.
     Node(String),
+    /// Exactly these nodes: a job for each, not synchronized.
+    Nodes(BTreeSet<NodeId>),
     /// A synchronized job.
     Group(GroupId),
 }
@@ -63,6 +65,7 @@ impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Node(chunk) => write!(f, "{chunk}"),
+            Self::Nodes(nodes) => write!(f, "{} selected nodes", nodes.len()),
             Self::Group(group) => write!(f, "group {group}"),
         }
     }
@@ -107,6 +110,23 @@ pub enum Request {
         /// Which.
         job: JobId,
     },
+    /// Read a job's text from a file of this computer.
+    ReadFile {
+        /// Which.
+        path: String,
+    },
+    /// Write a new file on this computer.
+    WriteFile {
+        /// Which.
+        path: String,
+        /// What.
+        text: String,
+    },
+    /// Note that an alarm was seen; stays in this window.
+    Acknowledge {
+        /// Which; all if `None`.
+        alarm: Option<u64>,
+    },
     /// Ask the gateway for everything again.
     Refresh,
     /// Connect to somewhere else.
@@ -114,6 +134,16 @@ pub enum Request {
         /// A locator such as `tcp/localhost:7447`; `None` is found by scouting.
         to: Option<String>,
     },
+}
+
+impl Request {
+    /// Returns whether it never leaves this computer.
+    pub const fn is_local(&self) -> bool {
+        matches!(
+            self,
+            Self::Acknowledge { .. } | Self::ReadFile { .. } | Self::WriteFile { .. }
+        )
+    }
 }
 
 /// The requests of one frame, in order.

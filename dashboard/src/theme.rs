@@ -1,7 +1,10 @@
 //! All colours, sizes and icons. Colour never alone carries meaning: what has a tone has an icon and
 //! a word too.
 
-use crate::model::node::{Concern, Presence};
+use crate::model::{
+    alarms::Cause,
+    node::{Concern, Presence},
+};
 use egui::{Color32, FontFamily, FontId, Response, RichText, Role, TextStyle, Ui, WidgetInfo};
 use keys::record::{JobState, NodeWord};
 
@@ -133,6 +136,18 @@ pub const fn concern_badge(concern: Concern) -> Badge {
         Concern::Lost => Badge::new("⚠", "lost", Tone::Bad),
         Concern::Stopped => Badge::new("⏹", "stopped", Tone::Bad),
         Concern::Silent => Badge::new("⚠", "silent", Tone::Warn),
+    }
+}
+
+/// Returns the badge of what raised an alarm.
+pub const fn alarm_badge(cause: Cause) -> Badge {
+    match cause {
+        Cause::Fault(_) => Badge::new("✖", "fault", Tone::Bad),
+        Cause::Lost => Badge::new("⚠", "lost", Tone::Bad),
+        Cause::Stopped => Badge::new("⏹", "stopped", Tone::Bad),
+        Cause::Silent => Badge::new("⚠", "silent", Tone::Warn),
+        Cause::Clock => Badge::new("⌚", "clock", Tone::Warn),
+        Cause::Skew(_) => Badge::new("⚠", "skew", Tone::Warn),
     }
 }
 

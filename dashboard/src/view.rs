@@ -4,7 +4,9 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    composer::ComposerView, fleet::FleetView, jobs::JobsView, log::LogView, stop::StopView,
+    alarms::AlarmsView, composer::ComposerView, fleet::FleetView, group_job::GroupJobView,
+    jobs::JobsView, log::LogView, node::NodeView, pulses::PulsesView, recording::RecordingView,
+    stop::StopView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -18,20 +20,40 @@ pub enum Tab {
     Jobs,
     /// Writing and sending a job.
     Compose,
+    /// Writing and sending a synchronized job.
+    GroupJob,
+    /// What needed somebody.
+    Alarms,
     /// Lines of text.
     Log,
+    /// Recorded pins.
+    Pulses,
+    /// Recording the session and showing it again.
+    Recording,
 }
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 3] = [Self::Jobs, Self::Compose, Self::Log];
+    pub const ALL: [Self; 7] = [
+        Self::Jobs,
+        Self::Compose,
+        Self::GroupJob,
+        Self::Alarms,
+        Self::Log,
+        Self::Pulses,
+        Self::Recording,
+    ];
 
     /// Returns its title.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Jobs => "Jobs",
             Self::Compose => "Compose",
+            Self::GroupJob => "Group job",
+            Self::Alarms => "Alarms",
             Self::Log => "Log",
+            Self::Pulses => "Pulses",
+            Self::Recording => "Recording",
         }
     }
 }
@@ -54,10 +76,20 @@ pub struct View {
     pub stop: StopView,
     /// The table of nodes.
     pub fleet: FleetView,
+    /// The page of a node.
+    pub node: NodeView,
+    /// The pulse inspector.
+    pub pulses: PulsesView,
+    /// Recording and replay.
+    pub recording: RecordingView,
     /// The list of jobs.
     pub jobs: JobsView,
     /// The composer.
     pub composer: ComposerView,
+    /// The editor of synchronized jobs.
+    pub group_job: GroupJobView,
+    /// The list of alarms.
+    pub alarms: AlarmsView,
     /// The log.
     pub log: LogView,
 }

@@ -121,8 +121,11 @@ impl Performer {
                 self.refresh();
                 Ok(Answer::Sent)
             }
-            // The session's loop has taken it.
-            Request::Connect { .. } => Ok(Answer::Sent),
+            // The session's loop or the window itself has taken it.
+            Request::Connect { .. }
+            | Request::Acknowledge { .. }
+            | Request::ReadFile { .. }
+            | Request::WriteFile { .. } => Ok(Answer::Sent),
         }
     }
 
@@ -146,15 +149,25 @@ impl Performer {
         language: Language,
         text: String,
     ) -> zenoh::Result<Answer> {
-        let key = match target {
-            Target::Node(chunk) => format!("{}/node/{chunk}/job", self.keys.prefix()),
-            Target::Group(group) => self.keys.group_job(group).as_str().to_owned(),
+        let of_node = |chunk: &str| format!("{}/node/{chunk}/job", self.keys.prefix());
+        let keys = match target {
+            Target::Node(chunk) => vec![of_node(chunk)],
+            Target::Nodes(nodes) => nodes.iter().map(|node| of_node(node.as_str())).collect(),
+            Target::Group(group) => vec![self.keys.group_job(group).as_str().to_owned()],
         };
         let encoding = match language {
             Language::Json => Encoding::APPLICATION_JSON,
             Language::Lua => Encoding::from("text/x-lua"),
         };
-        let replies = self.get(&key, Some((text, encoding))).await?;
+        let mut gets = tokio::task::JoinSet::new();
+        for key in keys {
+            let (performer, payload) = (self.clone(), Some((text.clone(), encoding.clone())));
+            gets.spawn(async move { performer.get(&key, payload).await });
+        }
+        let mut replies = Vec::new();
+        while let Some(got) = gets.join_next().await {
+            replies.extend(got??);
+        }
         if replies.is_empty() {
             return Ok(no_answer());
         }

@@ -1,7 +1,7 @@
 //! One zenoh session after the other: connect, listen, notice the end, connect again.
 
 use super::{
-    Asked, CONNECT_DEFAULT, Credentials, LinkConfig, Place,
+    Asked, CONNECT_DEFAULT, LinkConfig, Place,
     inbox::Inbox,
     perform::{self, Performer},
 };
@@ -9,8 +9,10 @@ use crate::{
     message::{Answer, LinkEvent, Message},
     request::Request,
 };
+use base64::Engine as _;
 use keys::{
     Keys, NodeId, NodeTopic, Status, Topic,
+    credentials::Credentials,
     record::{JobRecord, NodeRecord},
     version,
 };
@@ -81,12 +83,13 @@ pub(super) async fn run(config: LinkConfig, inbox: Arc<Inbox>, mut ends: Ends) {
     let tokens = Arc::new(Mutex::new(Tokens::default()));
     loop {
         let (to, opened) = match refusing(&mut ends, &inbox, async {
-            let places: &[Option<&str>] = match &place {
-                Place::At(locator) => &[Some(locator.as_str())],
-                Place::Scouted => &[None],
-                Place::Automatic => &[Some(CONNECT_DEFAULT), None],
+            let places: Vec<Option<&str>> = match &place {
+                Place::At(locator) => vec![Some(locator.as_str())],
+                Place::OneOf(locators) => locators.iter().map(|to| Some(to.as_str())).collect(),
+                Place::Scouted => vec![None],
+                Place::Automatic => vec![Some(CONNECT_DEFAULT), None],
             };
-            open_any(places, credentials.as_ref(), &inbox).await
+            open_any(&places, credentials.as_ref(), &inbox).await
         })
         .await
         {
@@ -179,7 +182,13 @@ async fn open(locator: Option<&str>, credentials: Option<&Credentials>) -> Resul
     let mut set = |key: &str, value: String| {
         config
             .insert_json5(key, &value)
-            .map_err(|_| format!("{value} is no address: tcp/HOST:PORT"))
+            // The value may be a secret.
+            .map_err(|_| match key {
+                "connect/endpoints" => {
+                    format!("{value} is no address: tcp/HOST:PORT or tls/HOST:PORT")
+                }
+                _ => format!("zenoh refuses the setting {key}"),
+            })
     };
     set("mode", text("client"))?;
     match locator {
@@ -193,10 +202,21 @@ async fn open(locator: Option<&str>, credentials: Option<&Credentials>) -> Resul
         set("transport/auth/usrpwd/user", text(&credentials.user))?;
         let password = text(&credentials.password);
         set("transport/auth/usrpwd/password", password)?;
+        if let Some(ca) = &credentials.ca {
+            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
+            set("transport/link/tls/root_ca_certificate_base64", text(&ca))?;
+        }
     }
     let nobody = || match locator {
         Some(locator) => {
-            format!("nothing that speaks zenoh answers at {locator}, or it asks for another user")
+            let whose = if locator.starts_with("tls/") {
+                ", or its certificate is not one of this fleet"
+            } else {
+                ""
+            };
+            format!(
+                "nothing that speaks zenoh answers at {locator}, or it asks for another user{whose}"
+            )
         }
         None => "scouting found no router".to_owned(),
     };

@@ -1,15 +1,18 @@
 //! The jobs that the gateway tells of, and those that this window sent.
 
-use super::limits::{JOBS_MAX, SENT_BYTES_MAX, SENT_MAX};
+use super::limits::{JOBS_MAX, SENT_BYTES_MAX, SENT_MAX, SKEW_PROMISED_US};
 use crate::{
     message::{Answer, Moment},
-    request::Ticket,
+    request::{Language, Ticket},
 };
-use keys::{FleetMicros, JobId, record::JobRecord};
+use keys::{FleetMicros, JobId, job::GroupRequest, record::JobRecord};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+/// How the target of a synchronized job begins, see [`Target`](crate::request::Target).
+const GROUP_MARK: &str = "group ";
+
 /// A job that this window sent.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Sent {
     /// Identifies the request.
     pub ticket: Ticket,
@@ -17,10 +20,22 @@ pub struct Sent {
     pub target: String,
     /// The text; empty if it was longer than [`SENT_BYTES_MAX`].
     pub payload: String,
+    /// Its language.
+    pub language: Language,
     /// When.
     pub at: Moment,
     /// What the gateway said; `None` until it does.
     pub answer: Option<Answer>,
+    /// The largest skew that it asked for, if it is a synchronized job that says so, µs.
+    pub max_skew_us: Option<f64>,
+}
+
+impl Sent {
+    /// Returns whether the gateway took it as this job.
+    fn is(&self, job: &JobId) -> bool {
+        let jobs = self.answer.as_ref().map(Answer::jobs).unwrap_or_default();
+        jobs.contains(job)
+    }
 }
 
 /// See the module.
@@ -58,17 +73,29 @@ impl Jobs {
         self.revision += 1;
     }
 
-    pub(super) fn asked(&mut self, ticket: Ticket, target: String, payload: String, at: Moment) {
+    pub(super) fn asked(
+        &mut self,
+        ticket: Ticket,
+        target: String,
+        payload: String,
+        language: Language,
+        at: Moment,
+    ) {
         if self.sent.len() == SENT_MAX {
             self.sent.pop_front();
         }
+        let group = target.starts_with(GROUP_MARK);
+        let request = group.then(|| GroupRequest::from_json(payload.as_bytes()).ok());
+        let max_skew_us = request.flatten().and_then(|request| request.max_skew_us);
         let fits = payload.len() <= SENT_BYTES_MAX;
         self.sent.push_back(Sent {
             ticket,
             target,
             payload: if fits { payload } else { String::new() },
+            language,
             at,
             answer: None,
+            max_skew_us,
         });
     }
 
@@ -110,11 +137,17 @@ impl Jobs {
         self.sent.iter().rev()
     }
 
+    /// Returns the largest skew that a synchronized job was promised, µs: what it asked for, if
+    /// this window sent it.
+    pub(super) fn promised_skew_us(&self, job: &JobId) -> f64 {
+        let sent = self.sent().find(|sent| sent.is(job));
+        let asked = sent.and_then(|sent| sent.max_skew_us);
+        asked.unwrap_or(SKEW_PROMISED_US)
+    }
+
     /// Returns what this window sent as this job, if its text was kept.
     pub fn sent_as(&self, job: &JobId) -> Option<&Sent> {
-        self.sent().find(|sent| {
-            let jobs = sent.answer.as_ref().map(Answer::jobs).unwrap_or_default();
-            jobs.contains(job) && !sent.payload.is_empty()
-        })
+        self.sent()
+            .find(|sent| sent.is(job) && !sent.payload.is_empty())
     }
 }

@@ -31,5 +31,21 @@ pub const SENT_BYTES_MAX: usize = 1 << 20;
 /// Stops and releases that are remembered.
 pub const EFFORTS_MAX: usize = 20;
 
+/// Alarms that are kept. Those that are over and acknowledged are forgotten first.
+pub const ALARMS_MAX: usize = 500;
+
+/// Least time between two looks at every node for what comes without a message, s.
+pub const ALARMS_EVERY_S: f64 = 0.1;
+
+/// How long a node that came has until its clock is known, s: the gateway's estimate needs some
+/// exchanges.
+pub const CLOCK_GRACE_S: f64 = 5.0;
+
+/// How old a synchronized start may be for its skew to be worth an alarm, s.
+pub const SKEW_NEWS_S: f64 = 600.0;
+
+/// The skew that a synchronized job is promised when it says nothing, µs.
+pub const SKEW_PROMISED_US: f64 = 1_000.0;
+
 /// A node that is there says something at least every second; three silent ones are worth a look, s.
 pub const STALE_AFTER_S: f64 = 3.0;

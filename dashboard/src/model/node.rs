@@ -45,6 +45,8 @@ pub struct Sample {
     pub axes: heapless::Vec<AxisStatus, AXES_MAX>,
     /// Commands that it had and that had not ended.
     pub queue_depth: u32,
+    /// Laser power, percent.
+    pub laser_percent: u8,
 }
 
 /// An estimate of the node's clock at one moment, for plots.
@@ -121,6 +123,7 @@ impl Node {
             node_at: status.at,
             axes: status.axes.clone(),
             queue_depth: u32::try_from(depth).unwrap_or(u32::MAX),
+            laser_percent: status.laser_percent,
         });
         self.status = Some((at, status));
     }
@@ -263,6 +266,21 @@ impl Node {
             Some(fault) => Some((fault.code.0, fault.code.as_str().to_owned())),
             None => told(),
         }
+    }
+
+    /// Returns the number of its last fault.
+    pub fn last_fault_code(&self) -> Option<u16> {
+        let own = self.latest_status().and_then(|status| status.faults.last());
+        let told = || self.latest_record()?.faults.last().map(|fault| fault.code);
+        own.map(|fault| fault.code.0).or_else(told)
+    }
+
+    /// Returns why it was stopped last, in the words that clients see.
+    pub fn stop_reason(&self) -> Option<&'static str> {
+        let own = self.latest_status().and_then(|status| status.stop.as_ref());
+        let told = || Some(self.latest_record()?.stopped?.reason);
+        let reason = own.map(|stop| stop.reason).or_else(told);
+        reason.map(keys::StopReason::as_str)
     }
 
     /// Returns what it said in the last minutes, oldest first.

@@ -7,15 +7,15 @@ use keys::{
     record::{JobRecord, JobState, Progress, QueueRecord},
 };
 
-fn id(name: &str) -> NodeId {
+pub(super) fn id(name: &str) -> NodeId {
     NodeId::new(name).expect("a name")
 }
 
-fn at(ms: u64) -> Moment {
+pub(super) fn at(ms: u64) -> Moment {
     Moment(1_000_000_000).plus_us(ms * 1_000)
 }
 
-fn status(state: NodeState) -> Box<Status> {
+pub(super) fn status(state: NodeState) -> Box<Status> {
     let axis = AxisStatus {
         position_steps: 7,
         speed_mhz: -1_500,
@@ -39,17 +39,17 @@ fn status(state: NodeState) -> Box<Status> {
     })
 }
 
-fn says(model: &mut Model, ms: u64, name: &str, state: NodeState) {
+pub(super) fn says(model: &mut Model, ms: u64, name: &str, state: NodeState) {
     let (node, status) = (id(name), status(state));
     model.apply(at(ms), Message::Status { node, status });
 }
 
-fn alive(model: &mut Model, ms: u64, name: &str, alive: bool) {
+pub(super) fn alive(model: &mut Model, ms: u64, name: &str, alive: bool) {
     let node = id(name);
     model.apply(at(ms), Message::Alive { node, alive });
 }
 
-fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
+pub(super) fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
     Box::new(NodeRecord {
         node: id(name),
         alive: state != NodeWord::Offline,
@@ -66,7 +66,24 @@ fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
     })
 }
 
-fn up(model: &mut Model) {
+pub(super) fn job(name: &str, created_us: u64, version: u64, state: JobState) -> JobRecord {
+    JobRecord {
+        job: JobId::new(name).expect("a name"),
+        node: None,
+        group: None,
+        state,
+        version,
+        created: FleetMicros(created_us),
+        updated: FleetMicros(created_us),
+        progress: Progress::default(),
+        error: None,
+        result: None,
+        parts: None,
+        start: None,
+    }
+}
+
+pub(super) fn up(model: &mut Model) {
     let to = "tcp/x:1".to_owned();
     model.apply(at(0), Message::Link(LinkEvent::Connected { to }));
 }
@@ -106,7 +123,7 @@ fn silence_grows_old_only_by_the_models_own_time() {
     let node = model.node(&id("a")).expect("known");
     assert_eq!(node.presence(model.now()), Presence::Stale);
     assert_eq!(model.concern(node), Some(Concern::Silent));
-    assert_eq!((model.totals().stale, model.totals().alarms), (1, 1));
+    assert_eq!((model.totals().stale, model.alarms().unseen()), (1, 1));
     model.tick(at(0));
     assert_eq!(model.now(), at(3_200), "time does not go back");
     // With the link down, silence says nothing about the node.
@@ -177,20 +194,7 @@ fn a_job_is_what_its_highest_version_says() {
     let mut model = Model::default();
     let job = JobId::new("j").expect("a name");
     let tell = |model: &mut Model, version, state| {
-        let record = JobRecord {
-            job,
-            node: None,
-            group: None,
-            state,
-            version,
-            created: FleetMicros(1),
-            updated: FleetMicros(1),
-            progress: Progress::default(),
-            error: None,
-            result: None,
-            parts: None,
-            start: None,
-        };
+        let record = self::job("j", 1, version, state);
         model.apply(at(0), Message::Job(Box::new(record)));
         model.jobs().get(&job).map(|record| record.state)
     };

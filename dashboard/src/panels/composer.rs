@@ -1,20 +1,31 @@
-//! Writing a job and sending it: for whom, the text with the place of its first error, the receipt.
+//! Writing a job and sending it: for whom, the text with the place of its first error, what it would
+//! do, the receipts.
 
+use super::{highlight::highlighted, preview};
 use crate::{
-    message::Answer,
+    estimate::{Estimate, estimate},
+    message::{Answer, FileOutcome},
     model::{Model, jobs::Sent, select::Pattern},
     request::{Language, Request, Requests, Target, Ticket},
-    text,
+    syntax, text,
     theme::{self, Tone},
-    view::View,
+    view::{Tab, View},
 };
-use egui::{ScrollArea, TextEdit, Ui};
-use keys::{NodeId, job::JobRequest, record::JobError};
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use egui::{Panel, Rect, ScrollArea, TextEdit, Ui};
+use keys::{
+    NodeId,
+    job::{JobRequest, Work},
+    record::JobError,
+};
+use serde::{Deserialize, Serialize, Serializer};
+use std::{collections::BTreeSet, ops::Range};
 
 /// Names of matching nodes that are spelled out.
 const NAMES_SHOWN: usize = 8;
+
+/// Longest text that is shown for editing and kept between runs, bytes. A longer one, from a file,
+/// is checked, previewed and sent as it is.
+pub const EDIT_BYTES_MAX: usize = 128 << 10;
 
 /// What the panel remembers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -22,14 +33,44 @@ const NAMES_SHOWN: usize = 8;
 pub struct ComposerView {
     /// A node's name or a wild chunk.
     pub target: String,
-    /// The job.
+    /// Sends to the selected nodes instead.
+    #[serde(skip)]
+    pub to_selection: bool,
+    /// What is being written.
+    pub language: Language,
+    /// The job, in JSON.
+    #[serde(serialize_with = "if_short")]
     pub text: String,
+    /// The job, in Lua.
+    #[serde(serialize_with = "if_short")]
+    pub script: String,
+    /// The file to open.
+    pub file: String,
     /// The last job that was sent.
     #[serde(skip)]
     pub sent: Option<Ticket>,
-    /// The text that was checked last, and what came out.
     #[serde(skip)]
-    checked: Option<(String, Result<usize, JobError>)>,
+    opening: Option<Ticket>,
+    #[serde(skip)]
+    dropped: Option<String>,
+    #[serde(skip)]
+    checked: Option<Checked>,
+}
+
+/// The text that was checked last, and what came out.
+#[derive(Clone, Debug)]
+struct Checked {
+    language: Language,
+    text: String,
+    start_steps: Vec<i64>,
+    outcome: Result<JobRequest, JobError>,
+    place: Option<Range<usize>>,
+    estimate: Option<Estimate>,
+}
+
+fn if_short<S: Serializer>(text: &str, serializer: S) -> Result<S::Ok, S::Error> {
+    let short = text.len() <= EDIT_BYTES_MAX;
+    serializer.serialize_str(if short { text } else { "" })
 }
 
 impl Default for ComposerView {
@@ -37,16 +78,23 @@ impl Default for ComposerView {
         let text = "{\"commands\":[\n  {\"ramp\":{\"axis\":0,\"steps\":2000,\"speed_hz\":1000,\"accel\":2000}}\n]}";
         Self {
             target: String::new(),
+            to_selection: false,
+            language: Language::Json,
             text: text.to_owned(),
+            script: "motor.queue_move(0, 500, 2000)\nmotor.execute()\n".to_owned(),
+            file: String::new(),
             sent: None,
+            opening: None,
+            dropped: None,
             checked: None,
         }
     }
 }
 
 impl ComposerView {
-    /// Takes the selection as the target, if it is one node.
+    /// Takes the selection as the target.
     pub fn target_nodes(&mut self, nodes: &BTreeSet<NodeId>) {
+        self.to_selection = nodes.len() > 1;
         if let (Some(node), 1) = (nodes.first(), nodes.len()) {
             self.target = node.as_str().to_owned();
         }
@@ -54,29 +102,105 @@ impl ComposerView {
 
     /// Takes a job that was sent, without its id: the same id would be the same job.
     pub fn again(&mut self, sent: &Sent) {
-        self.target.clone_from(&sent.target);
-        self.text = without_id(&sent.payload);
+        self.to_selection = false;
+        self.target = if Pattern::new(&sent.target).is_ok() {
+            sent.target.clone()
+        } else {
+            String::new()
+        };
+        self.language = sent.language;
+        match sent.language {
+            Language::Json => self.text = without_id(&sent.payload),
+            Language::Lua => self.script.clone_from(&sent.payload),
+        }
         self.sent = None;
     }
 
-    /// Returns how many commands the text has, or what is wrong where.
-    pub fn check(&mut self) -> &Result<usize, JobError> {
-        if self
-            .checked
-            .as_ref()
-            .is_none_or(|(text, _)| *text != self.text)
-        {
-            let outcome = JobRequest::from_json(self.text.as_bytes());
-            let outcome = outcome.map(|job| match job.work {
-                keys::job::Work::Commands(commands) => commands.len(),
-                keys::job::Work::Lua(_) => 0,
+    /// Takes a file that was dropped on a node's row.
+    pub fn drop_on(&mut self, ui: &Ui, row: Rect, node: NodeId) {
+        let pointer = ui.input(|input| input.pointer.latest_pos());
+        if self.dropped.is_some() && pointer.is_some_and(|at| row.contains(at)) {
+            self.target = node.as_str().to_owned();
+            self.to_selection = false;
+        }
+    }
+
+    fn text_mut(&mut self) -> &mut String {
+        match self.language {
+            Language::Json => &mut self.text,
+            Language::Lua => &mut self.script,
+        }
+    }
+
+    /// Checks the text with the rules that the gateway has, if it is another one than last time.
+    fn check(&mut self, start_steps: &[i64]) -> Option<&Checked> {
+        let language = self.language;
+        let text = std::mem::take(self.text_mut());
+        let known = self.checked.as_ref();
+        let fresh = known.is_some_and(|known| {
+            known.language == language && known.text == text && known.start_steps == start_steps
+        });
+        if !fresh {
+            let outcome = match language {
+                Language::Json => JobRequest::from_json(text.as_bytes()),
+                Language::Lua => Ok(JobRequest {
+                    id: None,
+                    work: Work::Lua(text.clone()),
+                    offline: keys::job::Offline::default(),
+                    timeout_s: None,
+                }),
+            };
+            let error = outcome.as_ref().err();
+            let place = error.and_then(|error| syntax::error_place(&text, &error.message));
+            let work = outcome.as_ref().ok().map(|job| &job.work);
+            self.checked = Some(Checked {
+                language,
+                start_steps: start_steps.to_vec(),
+                place,
+                estimate: work.and_then(|work| estimate(work, start_steps)),
+                text: text.clone(),
+                outcome,
             });
-            self.checked = Some((self.text.clone(), outcome));
         }
-        match &self.checked {
-            Some((_, outcome)) => outcome,
-            None => unreachable!("set above"),
+        *self.text_mut() = text;
+        self.checked.as_ref()
+    }
+}
+
+/// Notes a file that was dropped on the window in this frame.
+pub fn take_dropped(ui: &Ui, view: &mut View) {
+    let dropped = ui.input(|input| input.raw.dropped_files.first().cloned());
+    view.composer.dropped = dropped.map(|file| file.path().display().to_string());
+}
+
+/// Opens the file that was dropped, for the node on whose row it fell, if on one.
+pub fn open_dropped(view: &mut View, requests: &mut Requests) {
+    if let Some(path) = view.composer.dropped.take() {
+        view.tab = Tab::Compose;
+        view.composer.file.clone_from(&path);
+        view.composer.opening = Some(requests.push(Request::ReadFile { path }));
+    }
+}
+
+/// Takes a file that was read.
+fn take_opened(model: &Model, composer: &mut ComposerView) -> Option<String> {
+    let outcome = model.file(composer.opening?)?;
+    match outcome {
+        FileOutcome::Read { path, text } => {
+            let is_lua = std::path::Path::new(path)
+                .extension()
+                .is_some_and(|extension| extension.eq_ignore_ascii_case("lua"));
+            composer.language = if is_lua {
+                Language::Lua
+            } else {
+                Language::Json
+            };
+            composer.text_mut().clone_from(text);
+            (composer.opening, composer.sent) = (None, None);
+            None
         }
+        FileOutcome::Failed(why) => Some(why.clone()),
+        FileOutcome::Written { .. } => None,
     }
 }
 
@@ -93,66 +217,192 @@ fn without_id(payload: &str) -> String {
 
 /// Shows the composer.
 pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
-    let composer = &mut view.composer;
-    let pattern = Pattern::new(composer.target.trim());
-    let reach: Vec<NodeId> = pattern.as_ref().map_or(Vec::new(), |pattern| {
-        let nodes = model.matching(pattern);
-        nodes.map(|node| node.id()).collect()
-    });
-    let checked = composer.check().clone();
+    let failed = take_opened(model, &mut view.composer);
+    let pattern = Pattern::new(view.composer.target.trim());
+    let reach: Vec<NodeId> = if view.composer.to_selection {
+        view.selection.iter().copied().collect()
+    } else {
+        let nodes = pattern.as_ref().map(|pattern| model.matching(pattern));
+        nodes.map_or(Vec::new(), |nodes| nodes.map(|node| node.id()).collect())
+    };
+    let start_steps = start_of(model, &reach);
+    let Some(checked) = view.composer.check(&start_steps).cloned() else {
+        return;
+    };
     ui.horizontal_wrapped(|ui| {
+        let composer = &mut view.composer;
+        ui.selectable_value(&mut composer.language, Language::Json, "JSON");
+        ui.selectable_value(&mut composer.language, Language::Lua, "Lua");
         let label = ui.label("Send to");
         let edit = TextEdit::singleline(&mut composer.target)
             .hint_text("node-1, cell-a-$* or *")
-            .desired_width(160.0);
-        ui.add(edit).labelled_by(label.id);
-        let why = refusal(model, &pattern, reach.len(), &checked);
-        let send = ui.add_enabled(why.is_none(), egui::Button::new("Send job"));
-        let send = send.on_disabled_hover_text(why.unwrap_or_default());
-        if send.clicked()
-            && let Ok(pattern) = &pattern
-        {
-            composer.sent = Some(requests.push(Request::Submit {
-                target: Target::Node(pattern.as_str().to_owned()),
-                language: Language::Json,
-                text: composer.text.clone(),
-            }));
+            .desired_width(150.0);
+        ui.add_enabled(!composer.to_selection, edit)
+            .labelled_by(label.id);
+        let words = format!("Selection ({})", view.selection.len());
+        ui.checkbox(&mut composer.to_selection, words);
+        send_ui(ui, model, view, requests, &pattern, &reach, &checked);
+        if view.composer.to_selection {
+            let words = format!("● reaches {}", names(&reach));
+            ui.label(theme::toned(ui, Tone::Good, words));
+        } else {
+            reach_ui(ui, model, &pattern, &reach);
         }
-        reach_ui(ui, model, &pattern, &reach);
         check_ui(ui, &checked);
     });
+    file_ui(ui, view, requests, failed);
     sent_ui(ui, model, view);
-    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-        let edit = TextEdit::multiline(&mut view.composer.text)
-            .code_editor()
-            .desired_width(f32::INFINITY)
-            .desired_rows(8);
-        let label = ui.label("Job text (JSON)");
-        ui.add(edit).labelled_by(label.id);
-    });
+    if let Some(estimate) = &checked.estimate {
+        Panel::right("preview")
+            .resizable(true)
+            .default_size(330.0)
+            .show(ui, |ui| preview::preview_ui(ui, estimate));
+    }
+    editor_ui(ui, &mut view.composer, checked.place);
+}
+
+/// Where a preview begins: at the only node's place, if it rests; else at 0.
+fn start_of(model: &Model, reach: &[NodeId]) -> Vec<i64> {
+    let [node] = reach else { return Vec::new() };
+    let node = model.node(node);
+    let resting = node.filter(|node| node.speeds_hz().iter().all(|speed| *speed == 0.0));
+    resting.map_or(Vec::new(), |node| node.positions_steps())
+}
+
+fn send_ui(
+    ui: &mut Ui,
+    model: &Model,
+    view: &mut View,
+    requests: &mut Requests,
+    pattern: &Result<Pattern, String>,
+    reach: &[NodeId],
+    checked: &Checked,
+) {
+    let composer = &mut view.composer;
+    let target = if composer.to_selection {
+        let none = || "no node is selected: Ctrl+click selects several".to_owned();
+        let nodes = (!reach.is_empty()).then(|| reach.iter().copied().collect());
+        nodes.map(Target::Nodes).ok_or_else(none)
+    } else {
+        let pattern = pattern.as_ref().map_err(Clone::clone);
+        pattern.map(|pattern| Target::Node(pattern.as_str().to_owned()))
+    };
+    let why = refusal(model, &target, reach.len(), checked);
+    let send = ui.add_enabled(why.is_none(), egui::Button::new("Send job"));
+    let send = send.on_disabled_hover_text(why.unwrap_or_default());
+    if send.clicked()
+        && let Ok(target) = target
+    {
+        composer.sent = Some(requests.push(Request::Submit {
+            target,
+            language: checked.language,
+            text: checked.text.clone(),
+        }));
+    }
 }
 
 /// Returns why the job cannot be sent.
 fn refusal(
     model: &Model,
-    pattern: &Result<Pattern, String>,
+    target: &Result<Target, String>,
     reached: usize,
-    checked: &Result<usize, JobError>,
+    checked: &Checked,
 ) -> Option<String> {
-    if !model.link().is_up() {
-        return Some("there is no link".to_owned());
+    if let Some(why) = no_way(model) {
+        return Some(why);
     }
-    if model.link().gateway() == Some(false) {
-        return Some("no gateway answers".to_owned());
+    let job = match (target, &checked.outcome) {
+        (Err(why), _) => return Some(why.clone()),
+        (_, Err(error)) => return Some(error.to_string()),
+        (Ok(_), Ok(job)) => job,
+    };
+    let selected = matches!(target, Ok(Target::Nodes(_)));
+    let wild = matches!(target, Ok(Target::Node(chunk)) if chunk.contains('*'));
+    if wild && reached == 0 {
+        return Some("no node that is there matches".to_owned());
     }
-    match (pattern, checked) {
-        (Err(why), _) => Some(why.clone()),
-        (_, Err(error)) => Some(error.to_string()),
-        (Ok(pattern), Ok(_)) if pattern.is_wild() && reached == 0 => {
-            Some("no node that is there matches".to_owned())
-        }
+    if selected && reached > 1 && job.id.is_some() {
+        return Some("one id is one job: leave `id` out for several nodes".to_owned());
+    }
+    match &job.work {
+        Work::Lua(script) if script.trim().is_empty() => Some("the script is empty".to_owned()),
         _ => None,
     }
+}
+
+/// Returns why nothing can be sent to a gateway.
+pub(super) fn no_way(model: &Model) -> Option<String> {
+    if !model.link().is_up() {
+        Some("there is no link".to_owned())
+    } else if model.link().gateway() == Some(false) {
+        Some("no gateway answers".to_owned())
+    } else {
+        None
+    }
+}
+
+fn names(nodes: &[NodeId]) -> String {
+    let shown: Vec<&str> = nodes.iter().take(NAMES_SHOWN).map(NodeId::as_str).collect();
+    let more = match nodes.len().saturating_sub(NAMES_SHOWN) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let count = text::count(nodes.len(), "node");
+    format!("{count}: {}{more}", shown.join(", "))
+}
+
+fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option<String>) {
+    ui.horizontal_wrapped(|ui| {
+        let composer = &mut view.composer;
+        let label = ui.label("File");
+        let edit = TextEdit::singleline(&mut composer.file)
+            .hint_text("path, or drop a file on a node or here")
+            .desired_width(260.0);
+        ui.add(edit).labelled_by(label.id);
+        let named = !composer.file.trim().is_empty();
+        if ui
+            .add_enabled(named, egui::Button::new("Open file"))
+            .clicked()
+        {
+            let path = composer.file.trim().to_owned();
+            composer.opening = Some(requests.push(Request::ReadFile { path }));
+        }
+        if let Some(why) = failed {
+            ui.label(theme::toned(ui, Tone::Bad, format!("✖ {why}")));
+        } else if composer.opening.is_some() {
+            ui.label("⌛ opening");
+        }
+    });
+}
+
+fn editor_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>) {
+    let language = composer.language;
+    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        let label = ui.label(match language {
+            Language::Json => "Job text (JSON)",
+            Language::Lua => "Job script (Lua)",
+        });
+        let text = composer.text_mut();
+        if text.len() > EDIT_BYTES_MAX {
+            let words = format!("{} bytes: too long to edit here, sent as it is", text.len());
+            ui.label(theme::toned(ui, Tone::Warn, words));
+            if ui.button("Clear text").clicked() {
+                text.clear();
+            }
+            return;
+        }
+        let mut layouter = |ui: &Ui, text: &dyn egui::TextBuffer, width: f32| {
+            let mut job = highlighted(ui, language, text.as_str(), place.as_ref());
+            job.wrap.max_width = width;
+            ui.fonts_mut(|fonts| fonts.layout_job(job))
+        };
+        let edit = TextEdit::multiline(text)
+            .code_editor()
+            .layouter(&mut layouter)
+            .desired_width(f32::INFINITY)
+            .desired_rows(8);
+        ui.add(edit).labelled_by(label.id);
+    });
 }
 
 fn reach_ui(ui: &mut Ui, model: &Model, pattern: &Result<Pattern, String>, reach: &[NodeId]) {
@@ -170,28 +420,18 @@ fn reach_ui(ui: &mut Ui, model: &Model, pattern: &Result<Pattern, String>, reach
             }
         }
         (Ok(_), []) => (Tone::Warn, "⚠ reaches no node".to_owned()),
-        (Ok(_), nodes) => {
-            let names: Vec<&str> = nodes.iter().take(NAMES_SHOWN).map(NodeId::as_str).collect();
-            let more = nodes.len().saturating_sub(NAMES_SHOWN);
-            let more = if more > 0 {
-                format!(" and {more} more")
-            } else {
-                String::new()
-            };
-            let count = text::count(nodes.len(), "node");
-            (
-                Tone::Good,
-                format!("● reaches {count}: {}{more}", names.join(", ")),
-            )
-        }
+        (Ok(_), nodes) => (Tone::Good, format!("● reaches {}", names(nodes))),
     };
     ui.label(theme::toned(ui, tone, words));
 }
 
-fn check_ui(ui: &mut Ui, checked: &Result<usize, JobError>) {
-    let (tone, words) = match checked {
-        Ok(0) => (Tone::Good, "✔ a script".to_owned()),
-        Ok(count) => (Tone::Good, format!("✔ {}", text::count(*count, "command"))),
+fn check_ui(ui: &mut Ui, checked: &Checked) {
+    let (tone, words) = match checked.outcome.as_ref().map(|job| &job.work) {
+        Ok(Work::Lua(_)) => (Tone::Plain, "a script: the gateway checks it".to_owned()),
+        Ok(Work::Commands(list)) => {
+            let count = text::count(list.len(), "command");
+            (Tone::Good, format!("✔ {count}"))
+        }
         Err(error) => (Tone::Bad, format!("✖ {error}")),
     };
     ui.label(theme::toned(ui, tone, words));
@@ -221,7 +461,10 @@ fn sent_ui(ui: &mut Ui, model: &Model, view: &mut View) {
                         let link = ui.button(egui::RichText::new(words).color(color));
                         if link.clicked() {
                             view.jobs.open = Some(receipt.job);
-                            view.tab = crate::view::Tab::Jobs;
+                            view.tab = Tab::Jobs;
+                        }
+                        if let Some(node) = record.and_then(|record| record.node) {
+                            ui.label(format!("on {node}"));
                         }
                     }
                     Err(error) => {

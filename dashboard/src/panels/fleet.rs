@@ -319,6 +319,7 @@ impl TableDelegate for Rows<'_> {
             return;
         };
         let rect = ui.max_rect();
+        self.view.composer.drop_on(ui, rect, node.id());
         let visuals = ui.visuals();
         if self.view.selection.contains(&node.id()) || self.view.focus == Some(node.id()) {
             let fill = visuals.selection.bg_fill.gamma_multiply(0.4);

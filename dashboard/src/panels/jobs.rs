@@ -1,8 +1,10 @@
 //! Job records, newest first, and one of them in detail.
 
 use crate::{
-    model::Model,
-    request::{Request, Requests},
+    message::FileOutcome,
+    model::{Model, select::Pattern},
+    records,
+    request::{Request, Requests, Ticket},
     text,
     theme::{self, Tone},
     view::{Tab, View},
@@ -21,6 +23,13 @@ use serde::{Deserialize, Serialize};
 pub struct JobsView {
     /// What job, node, group or error must contain.
     pub filter: String,
+    /// A node's name or a wild chunk; all if empty.
+    pub node: String,
+    /// The file that an export is written to.
+    pub export: String,
+    /// The export that was asked for.
+    #[serde(skip)]
+    pub exported: Option<Ticket>,
     /// The state that is shown; all if `None`.
     pub state: Option<JobState>,
     /// The job whose detail is open.
@@ -34,12 +43,23 @@ pub struct JobsView {
 /// Returns the records that pass the filters, newest first.
 pub fn shown<'m>(model: &'m Model, view: &JobsView) -> Vec<&'m JobRecord> {
     let words = view.filter.trim().to_lowercase();
+    let pattern = Pattern::new(view.node.trim()).ok();
     model
         .jobs()
         .newest_first()
         .filter(|record| view.state.is_none_or(|state| record.state == state))
+        .filter(|record| {
+            let pattern = pattern.as_ref();
+            pattern.is_none_or(|pattern| is_for(record, pattern))
+        })
         .filter(|record| words.is_empty() || contains(record, &words))
         .collect()
+}
+
+fn is_for(record: &JobRecord, pattern: &Pattern) -> bool {
+    let parts = record.parts.iter().flatten().map(|(node, _)| node);
+    let mut nodes = record.node.iter().chain(parts);
+    nodes.any(|node| pattern.matches(node.as_str()))
 }
 
 fn contains(record: &JobRecord, words: &str) -> bool {
@@ -55,11 +75,16 @@ fn contains(record: &JobRecord, words: &str) -> bool {
 /// Shows filters, list and detail.
 pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
     let rows = shown(model, &view.jobs);
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         let label = ui.label("Filter jobs");
         let edit = TextEdit::singleline(&mut view.jobs.filter)
             .hint_text("job, node or group")
-            .desired_width(180.0);
+            .desired_width(150.0);
+        ui.add(edit).labelled_by(label.id);
+        let label = ui.label("Node");
+        let edit = TextEdit::singleline(&mut view.jobs.node)
+            .hint_text("name or cell-a-$*")
+            .desired_width(110.0);
         ui.add(edit).labelled_by(label.id);
         let state = view.jobs.state.map_or("all states", JobState::as_str);
         let label = ui.label("State");
@@ -80,7 +105,14 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             text::count(model.jobs().len(), "job")
         );
         ui.label(theme::toned(ui, Tone::Quiet, words));
+        export_ui(ui, model, &mut view.jobs, &rows, requests);
     });
+    if let (false, Err(why)) = (
+        view.jobs.node.is_empty(),
+        Pattern::new(view.jobs.node.trim()),
+    ) {
+        ui.label(theme::toned(ui, Tone::Warn, format!("⚠ {why}")));
+    }
     let open = view.jobs.open.and_then(|job| model.jobs().get(&job));
     if let Some(record) = open {
         Panel::right("job detail")
@@ -107,6 +139,46 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         .num_sticky_cols(1)
         .headers([HeaderRow::new(theme::ROW_HEIGHT)])
         .show(ui, &mut rows);
+}
+
+/// Writes what is listed to a new file.
+fn export_ui(
+    ui: &mut Ui,
+    model: &Model,
+    view: &mut JobsView,
+    rows: &[&JobRecord],
+    requests: &mut Requests,
+) {
+    let label = ui.label("Export to");
+    let edit = TextEdit::singleline(&mut view.export)
+        .hint_text("a new file")
+        .desired_width(120.0);
+    ui.add(edit).labelled_by(label.id);
+    let path = view.export.trim();
+    let possible = !path.is_empty() && !rows.is_empty();
+    let mut write = |text: String| {
+        let path = path.to_owned();
+        view.exported = Some(requests.push(Request::WriteFile { path, text }));
+    };
+    let button = |ui: &mut Ui, name: &str| {
+        let button = ui.add_enabled(possible, egui::Button::new(name));
+        button.clicked()
+    };
+    if button(ui, "Export CSV") {
+        write(records::csv(rows));
+    }
+    if button(ui, "Export JSON") {
+        write(records::json(rows));
+    }
+    match view.exported.and_then(|ticket| model.file(ticket)) {
+        Some(FileOutcome::Written { path }) => {
+            ui.label(theme::toned(ui, Tone::Good, format!("✔ wrote {path}")));
+        }
+        Some(FileOutcome::Failed(why)) => {
+            ui.label(theme::toned(ui, Tone::Bad, format!("✖ {why}")));
+        }
+        Some(FileOutcome::Read { .. }) | None => {}
+    }
 }
 
 const TITLES: [&str; 6] = ["Job", "For", "State", "Done", "Created (UTC)", "Outcome"];
@@ -201,15 +273,20 @@ fn detail_ui(
         cancel_ui(ui, view, record, requests);
         let sent = model.jobs().sent_as(&record.job);
         let again = ui.add_enabled(sent.is_some(), egui::Button::new("Run again…"));
-        let again = again.on_hover_text("Opens it in the composer, under a new id");
+        let again = again.on_hover_text("Opens it in its editor, under a new id");
         let again = again.on_disabled_hover_text(
             "Only jobs that this window sent since its start can be sent again",
         );
         if again.clicked()
             && let Some(sent) = sent
         {
-            view.composer.again(sent);
-            view.tab = Tab::Compose;
+            if record.group.is_some() {
+                view.group_job.again(sent);
+                view.tab = Tab::GroupJob;
+            } else {
+                view.composer.again(sent);
+                view.tab = Tab::Compose;
+            }
         }
         if ui.button("Close detail").clicked() {
             view.jobs.open = None;

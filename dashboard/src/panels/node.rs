@@ -1,18 +1,107 @@
-//! One node's page: what it says about itself, its stop, and its last minutes as plots.
+//! One node's page: what it says about itself, its stop, its last minutes as plots, its log.
 
+use super::node_plots;
 use crate::{
-    model::{Model, node::Node},
+    model::{Model, log::Source, node::Node},
     request::{Request, Requests, Scope},
     text,
     theme::{self, Tone},
     view::View,
 };
-use egui::{Grid, ScrollArea, Ui};
-use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
-use keys::{StopMode, record::NodeWord};
+use egui::{Grid, RichText, ScrollArea, TextStyle, Ui};
+use keys::{Features, StopMode, record::NodeWord};
+use serde::{Deserialize, Serialize};
 
-/// Height of a plot, points.
-const PLOT_HEIGHT: f32 = 150.0;
+/// What stands where a value is wanted that nobody sends.
+const NOT_TOLD: &str = "not told";
+
+/// The parts of a node's page.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Page {
+    /// Its present values and faults.
+    #[default]
+    Overview,
+    /// Position, speed and queue over time.
+    Motion,
+    /// One axis over another: where the tool was.
+    Path,
+    /// Offset and error of its clock over time.
+    Clock,
+    /// Its lines.
+    Lines,
+    /// What it is, as far as it is told.
+    Setup,
+}
+
+impl Page {
+    /// Every page, as shown.
+    pub const ALL: [Self; 6] = [
+        Self::Overview,
+        Self::Motion,
+        Self::Path,
+        Self::Clock,
+        Self::Lines,
+        Self::Setup,
+    ];
+
+    /// Returns its title.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Overview => "Overview",
+            Self::Motion => "Motion",
+            Self::Path => "Path",
+            Self::Clock => "Clock",
+            Self::Lines => "Lines",
+            Self::Setup => "Setup",
+        }
+    }
+}
+
+/// What the page remembers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default)]
+pub struct NodeView {
+    /// The page that is open.
+    pub page: Page,
+    /// The axis that the path shows to the right.
+    pub path_right: usize,
+    /// The axis that the path shows upwards.
+    pub path_up: usize,
+    /// Where the pointer is in a plot over time, s before the present.
+    #[serde(skip)]
+    pub cursor_s: Option<f64>,
+    /// The folder for plots as files.
+    pub folder: String,
+    /// The plot that is to become a file.
+    #[serde(skip)]
+    pub export: Option<Export>,
+    /// What became of the last one.
+    #[serde(skip)]
+    pub exported: Option<Result<String, String>>,
+}
+
+/// What a plot is to become.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Export {
+    /// Its numbers.
+    Csv,
+    /// The picture of this part of the window.
+    Png(egui::Rect),
+}
+
+impl Default for NodeView {
+    fn default() -> Self {
+        Self {
+            page: Page::default(),
+            path_right: 0,
+            path_up: 1,
+            cursor_s: None,
+            folder: ".".to_owned(),
+            export: None,
+            exported: None,
+        }
+    }
+}
 
 /// Shows the page of the node that has the focus.
 pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
@@ -52,12 +141,60 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             view.stop.releasing = Some(Scope::node(id));
         }
     });
-    ui.separator();
-    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
-        facts_ui(ui, model, node);
-        plot_ui(ui, model, node);
-        faults_ui(ui, node);
+    ui.horizontal_wrapped(|ui| {
+        for page in Page::ALL {
+            ui.selectable_value(&mut view.node.page, page, page.title());
+        }
     });
+    ui.separator();
+    let of_page = &mut view.node;
+    if matches!(of_page.page, Page::Motion | Page::Path | Page::Clock) {
+        export_ui(ui, of_page);
+    }
+    match of_page.page {
+        Page::Overview => scrolled(ui, |ui| {
+            facts_ui(ui, model, node);
+            faults_ui(ui, node);
+        }),
+        Page::Motion => node_plots::motion_ui(ui, model, node, of_page),
+        Page::Path => node_plots::path_ui(ui, node, of_page),
+        Page::Clock => node_plots::clock_ui(ui, model, node, of_page),
+        Page::Lines => lines_ui(ui, model, node),
+        Page::Setup => scrolled(ui, |ui| setup_ui(ui, node)),
+    }
+}
+
+/// Shows the buttons that make files of plots.
+fn export_ui(ui: &mut Ui, view: &mut NodeView) {
+    let page = ui.available_rect_before_wrap();
+    ui.horizontal(|ui| {
+        if ui.button("Save CSV").clicked() {
+            view.export = Some(Export::Csv);
+        }
+        if ui.button("Save PNG").clicked() {
+            view.export = Some(Export::Png(page));
+        }
+        let label = ui.label("in");
+        let edit = egui::TextEdit::singleline(&mut view.folder).desired_width(120.0);
+        ui.add(edit).labelled_by(label.id);
+    });
+    match &view.exported {
+        Some(Ok(name)) => {
+            let words = theme::toned(ui, Tone::Good, format!("✔ written: {name}"));
+            ui.add(egui::Label::new(words).wrap());
+        }
+        Some(Err(why)) => {
+            let words = theme::toned(ui, Tone::Bad, format!("✖ {why}"));
+            ui.add(egui::Label::new(words).wrap());
+        }
+        None => {}
+    }
+}
+
+pub(super) fn scrolled(ui: &mut Ui, content: impl FnOnce(&mut Ui)) {
+    ScrollArea::vertical()
+        .auto_shrink(false)
+        .show(ui, |ui| content(ui));
 }
 
 fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
@@ -78,9 +215,11 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
         let drift = format!("{}, {:+.1} ppm", text::clock(&clock), clock.drift_ppm);
         facts.push(("clock", drift));
     }
-    if let Some(rssi_dbm) = node.rssi_dbm() {
-        facts.push(("RSSI", format!("{rssi_dbm} dBm")));
-    }
+    let rssi = node.rssi_dbm().map(|rssi_dbm| format!("{rssi_dbm} dBm"));
+    facts.push(("RSSI", rssi.unwrap_or_else(|| NOT_TOLD.to_owned())));
+    // No message of the fleet has them.
+    facts.push(("temperature", NOT_TOLD.to_owned()));
+    facts.push(("free heap", NOT_TOLD.to_owned()));
     if let Some(status) = node.latest_status() {
         facts.push(("laser", format!("{} %", status.laser_percent)));
         if let Some(lidar_mm) = status.lidar_mm {
@@ -95,60 +234,115 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
             facts.push(("stopped", format!("by {} at {at}", stopped.reason.as_str())));
         }
     }
+    facts_grid(ui, facts);
+}
+
+fn facts_grid(ui: &mut Ui, facts: Vec<(&str, String)>) {
     Grid::new("facts")
         .num_columns(2)
         .striped(true)
         .show(ui, |ui| {
             for (name, value) in facts {
                 ui.label(theme::toned(ui, Tone::Quiet, name));
+                let tone = if value == NOT_TOLD {
+                    Tone::Quiet
+                } else {
+                    Tone::Plain
+                };
+                let value = theme::toned(ui, tone, value);
                 ui.add(egui::Label::new(value).wrap());
                 ui.end_row();
             }
         });
 }
 
-fn plot_ui(ui: &mut Ui, model: &Model, node: &Node) {
-    let axis_count = node.samples().last().map_or(0, |sample| sample.axes.len());
-    if axis_count == 0 {
+fn faults_ui(ui: &mut Ui, node: &Node) {
+    ui.separator();
+    let mut words = Vec::new();
+    match (node.latest_record(), node.latest_status()) {
+        // The gateway's times are those of the fleet.
+        (Some(record), _) if !record.faults.is_empty() => {
+            for fault in &record.faults {
+                let at = text::date_and_time(fault.at);
+                words.push(format!("✖ {at}  {} {}", fault.code, fault.message));
+            }
+        }
+        (_, Some(status)) => {
+            for fault in &status.faults {
+                let at_s = fault.at.0 as f64 / 1e6;
+                let (code, name) = (fault.code.0, fault.code.as_str());
+                words.push(format!("✖ {at_s:.3} s after its boot  {code} {name}"));
+            }
+        }
+        _ => {}
+    }
+    if words.is_empty() {
+        ui.label(theme::toned(ui, Tone::Quiet, "no fault since its boot"));
         return;
     }
-    ui.separator();
-    ui.label("Position (steps) over the last minutes (s ago)");
-    let now = model.now();
-    let colors: Vec<_> = (0..axis_count)
-        .map(|axis| theme::axis_color(ui, axis))
-        .collect();
-    Plot::new(("position", node.id().as_str()))
-        .height(PLOT_HEIGHT)
-        // The newest is at the right.
-        .legend(Legend::default().position(Corner::LeftTop))
-        .show(ui, |plot| {
-            for (axis, color) in colors.into_iter().enumerate() {
-                let points: PlotPoints<'_> = node
-                    .samples()
-                    .iter()
-                    .filter_map(|sample| {
-                        let axis = sample.axes.get(axis)?;
-                        Some([-now.since_s(sample.at), axis.position_steps as f64])
-                    })
-                    .collect();
-                plot.line(Line::new(format!("axis {axis}"), points).color(color));
+    ui.label("Faults since its boot, the last first");
+    for words in words.into_iter().rev() {
+        let words = theme::toned(ui, Tone::Bad, words);
+        ui.add(egui::Label::new(words).wrap());
+    }
+}
+
+fn lines_ui(ui: &mut Ui, model: &Model, node: &Node) {
+    let lines = model.log().lines();
+    let its = |line: &&crate::model::log::Line| line.source == Source::Node(node.id());
+    let lines: Vec<_> = lines.iter().filter(its).collect();
+    let count = text::count(lines.len(), "line");
+    let words = format!("{count} of this node, the newest at the bottom");
+    ui.label(theme::toned(ui, Tone::Quiet, words));
+    let height = ui.text_style_height(&TextStyle::Monospace);
+    ScrollArea::both()
+        .auto_shrink(false)
+        .stick_to_bottom(true)
+        .show_rows(ui, height, lines.len(), |ui, rows| {
+            for line in &lines[rows] {
+                let words = format!("{}  {}", text::time_of_day(line.at), line.text);
+                let words = RichText::new(words).monospace();
+                ui.add(egui::Label::new(words).wrap_mode(egui::TextWrapMode::Extend));
             }
         });
 }
 
-fn faults_ui(ui: &mut Ui, node: &Node) {
-    let Some(record) = node.latest_record() else {
-        return;
-    };
-    if record.faults.is_empty() {
-        return;
+fn setup_ui(ui: &mut Ui, node: &Node) {
+    let mut facts: Vec<(&str, String)> = vec![("name", node.id().to_string())];
+    if let Some(status) = node.latest_status() {
+        let [major, minor, patch] = status.firmware;
+        facts.push(("firmware", format!("{major}.{minor}.{patch}")));
+        facts.push(("axes", status.axes.len().to_string()));
+        let depth = status
+            .accepted_commands
+            .saturating_sub(status.executed_commands);
+        let room = depth.saturating_add(u64::from(status.credit_commands));
+        facts.push(("queue", format!("room for {room} commands")));
+        facts.push(("boot", format!("{:#x}", status.queue.boot)));
+        facts.push(("can do", features(status.features)));
+    } else if let Some(record) = node.latest_record() {
+        facts.push(("firmware", record.firmware.clone()));
+        facts.push(("axes", record.position.len().to_string()));
+        facts.push(("can do", NOT_TOLD.to_owned()));
     }
+    facts_grid(ui, facts);
     ui.separator();
-    ui.label("Faults since its boot");
-    for fault in record.faults.iter().rev() {
-        let at = text::date_and_time(fault.at);
-        let words = format!("✖ {at}  {} {}", fault.code, fault.message);
-        ui.label(theme::toned(ui, Tone::Bad, words));
-    }
+    let words = "Pins, limits and profiles of the axes are not told by the node: \
+                 they are in the settings that were written to it.";
+    ui.label(theme::toned(ui, Tone::Quiet, words));
+}
+
+/// Returns the names of what a firmware can do.
+fn features(features: Features) -> String {
+    const NAMES: [(Features, &str); 6] = [
+        (Features::BASIC, "moves"),
+        (Features::RAMPS, "ramps and lines"),
+        (Features::HOMING, "homing"),
+        (Features::BARRIERS, "synchronized starts"),
+        (Features::LUA, "Lua"),
+        (Features::CD, "CD moves"),
+    ];
+    let known = NAMES.iter().filter(|(feature, _)| features.has(*feature));
+    let names: Vec<&str> = known.map(|(_, name)| *name).collect();
+    names.join(", ")
 }

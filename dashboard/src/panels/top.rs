@@ -8,7 +8,7 @@ use crate::{
     request::{Request, Requests, Scope},
     text,
     theme::{self, Badge, Tone},
-    view::View,
+    view::{Tab, View},
 };
 use egui::{Align, Layout, RichText, Ui};
 use keys::StopMode;
@@ -30,7 +30,10 @@ pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reques
         }
         ui.separator();
         ui.vertical(|ui| {
-            ui.horizontal_wrapped(|ui| counts_ui(ui, &totals));
+            ui.horizontal_wrapped(|ui| {
+                counts_ui(ui, &totals);
+                alarms_ui(ui, model.alarms().unseen(), view);
+            });
             ui.horizontal_wrapped(|ui| {
                 link_ui(ui, model);
                 clock_ui(ui, totals.worst_clock_error_us, totals.clocks_unknown);
@@ -79,12 +82,19 @@ fn counts_ui(ui: &mut Ui, totals: &Totals) {
     count(ui, Tone::Warn, "⚠", totals.stale, "silent");
     count(ui, Tone::Quiet, "○", totals.offline, "offline");
     count(ui, Tone::Bad, "⏹", totals.stopped, "stopped");
-    let alarms = if totals.alarms == 1 {
-        "alarm"
-    } else {
-        "alarms"
-    };
-    count(ui, Tone::Bad, "⚠", totals.alarms, alarms);
+}
+
+/// Opens the list. Those that somebody has seen are not counted.
+fn alarms_ui(ui: &mut Ui, unseen: usize, view: &mut View) {
+    let tone = if unseen == 0 { Tone::Quiet } else { Tone::Bad };
+    let words = theme::toned(ui, tone, format!("⚠ {}", text::count(unseen, "alarm")));
+    let button = ui.add(egui::Button::new(words).small());
+    if button
+        .on_hover_text("not acknowledged; opens the list (Ctrl+M)")
+        .clicked()
+    {
+        view.tab = Tab::Alarms;
+    }
 }
 
 fn link_ui(ui: &mut Ui, model: &Model) {

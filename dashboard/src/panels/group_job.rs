@@ -1,0 +1,365 @@
+//! Writing a synchronized job: a part for each of several nodes, started together; then who is
+//! ready, how long until the start, and how far apart it was.
+
+use super::{composer, highlight::highlighted, preview};
+use crate::{
+    estimate::estimate,
+    message::Answer,
+    model::{Model, jobs::Sent},
+    request::{Language, Request, Requests, Target, Ticket},
+    syntax, text,
+    theme::{self, Tone},
+    view::View,
+};
+use egui::{Panel, ScrollArea, TextEdit, Ui};
+use keys::{
+    GroupId, JobId, NodeId,
+    job::{GROUP_NODES_MAX, GroupRequest, Work},
+    record::{JobRecord, JobState},
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The part that a node gets when it is added.
+const PART: &str = "{\"commands\":[\n  {\"ramp\":{\"axis\":0,\"steps\":2000,\"speed_hz\":1000,\"accel\":2000}}\n]}";
+
+/// What the panel remembers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default)]
+pub struct GroupJobView {
+    /// The group's name.
+    pub group: String,
+    /// The part of each node, JSON.
+    pub parts: BTreeMap<NodeId, String>,
+    /// The node whose part is edited.
+    pub open: Option<NodeId>,
+    /// Largest skew, µs.
+    pub max_skew_us: f64,
+    /// Time to become ready, ms.
+    pub ready_timeout_ms: f64,
+    /// The last one that was sent.
+    #[serde(skip)]
+    pub sent: Option<Ticket>,
+}
+
+impl Default for GroupJobView {
+    fn default() -> Self {
+        Self {
+            group: "group".to_owned(),
+            parts: BTreeMap::new(),
+            open: None,
+            max_skew_us: 1_000.0,
+            ready_timeout_ms: 5_000.0,
+            sent: None,
+        }
+    }
+}
+
+impl GroupJobView {
+    /// Takes nodes in, as many as a synchronized job can have.
+    pub fn add(&mut self, nodes: &BTreeSet<NodeId>) {
+        let part = match self.open.and_then(|open| self.parts.get(&open)) {
+            Some(part) => part.clone(),
+            None => PART.to_owned(),
+        };
+        for node in nodes {
+            if self.parts.len() < GROUP_NODES_MAX {
+                self.parts.entry(*node).or_insert_with(|| part.clone());
+            }
+        }
+        self.open = self.open.or_else(|| nodes.first().copied());
+    }
+
+    /// Takes a synchronized job that was sent.
+    pub fn again(&mut self, sent: &Sent) {
+        let Ok(Value::Object(mut job)) = serde_json::from_str::<Value>(&sent.payload) else {
+            return;
+        };
+        if let Some(group) = sent.target.strip_prefix("group ") {
+            self.group = group.to_owned();
+        }
+        let number = |name: &str, default: f64| {
+            let value = job.get(name).and_then(Value::as_f64);
+            value.unwrap_or(default)
+        };
+        self.max_skew_us = number("max_skew_us", self.max_skew_us);
+        self.ready_timeout_ms = number("ready_timeout_ms", self.ready_timeout_ms);
+        let Some(Value::Object(nodes)) = job.remove("nodes") else {
+            return;
+        };
+        let parts = nodes.into_iter().filter_map(|(name, part)| {
+            let text = serde_json::to_string_pretty(&part).ok()?;
+            Some((NodeId::new(&name).ok()?, text))
+        });
+        self.parts = parts.collect();
+        self.open = self.parts.keys().next().copied();
+        self.sent = None;
+    }
+
+    /// Returns the whole job as text and as checked, or what is wrong with it.
+    pub fn whole(&self) -> Result<(String, GroupRequest), String> {
+        let mut nodes = Map::new();
+        for (node, part) in &self.parts {
+            let part = serde_json::from_str::<Value>(part)
+                .map_err(|error| format!("part of {node}: {error}"))?;
+            nodes.insert(node.to_string(), part);
+        }
+        let job = json!({
+            "nodes": nodes,
+            "max_skew_us": self.max_skew_us,
+            "ready_timeout_ms": self.ready_timeout_ms,
+        });
+        let text = job.to_string();
+        let request =
+            GroupRequest::from_json(text.as_bytes()).map_err(|error| error.to_string())?;
+        Ok((text, request))
+    }
+}
+
+/// Shows the editor and what became of the job that was sent last.
+pub fn group_job_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+    let whole = view.group_job.whole();
+    head_ui(ui, model, view, requests, &whole);
+    Panel::left("group parts")
+        .resizable(true)
+        .default_size(330.0)
+        .show(ui, |ui| parts_ui(ui, model, view));
+    let Some(open) = view.group_job.open else {
+        let words = "select nodes in the fleet, then “Add selection”";
+        ui.label(theme::toned(ui, Tone::Quiet, words));
+        return;
+    };
+    let work = whole
+        .as_ref()
+        .ok()
+        .and_then(|(_, job)| job.nodes.get(&open));
+    if let Some(estimate) = work.and_then(|work| estimate_at(model, open, work)) {
+        Panel::right("part preview")
+            .resizable(true)
+            .default_size(240.0)
+            .show(ui, |ui| preview::preview_ui(ui, &estimate));
+    }
+    part_ui(ui, view, open, whole.as_ref().err());
+}
+
+fn estimate_at(model: &Model, node: NodeId, work: &Work) -> Option<crate::estimate::Estimate> {
+    let place = model.node(&node).map(|node| node.positions_steps());
+    estimate(work, &place.unwrap_or_default())
+}
+
+fn head_ui(
+    ui: &mut Ui,
+    model: &Model,
+    view: &mut View,
+    requests: &mut Requests,
+    whole: &Result<(String, GroupRequest), String>,
+) {
+    ui.horizontal_wrapped(|ui| {
+        let editor = &mut view.group_job;
+        let label = ui.label("Group");
+        let name = TextEdit::singleline(&mut editor.group).desired_width(100.0);
+        ui.add(name).labelled_by(label.id);
+        let label = ui.label("Max skew");
+        let skew = egui::DragValue::new(&mut editor.max_skew_us);
+        ui.add(skew.range(1.0..=1e6).suffix(" µs"))
+            .labelled_by(label.id);
+        let label = ui.label("Ready within");
+        let ready = egui::DragValue::new(&mut editor.ready_timeout_ms);
+        ui.add(ready.range(100.0..=600_000.0).suffix(" ms"))
+            .labelled_by(label.id);
+        let selected = !view.selection.is_empty();
+        if ui
+            .add_enabled(selected, egui::Button::new("Add selection"))
+            .clicked()
+        {
+            editor.add(&view.selection);
+        }
+        let group = GroupId::new(editor.group.trim());
+        let why = match (composer::no_way(model), &group, whole) {
+            (Some(why), _, _) => Some(why),
+            (_, Err(_), _) => Some("a group's name is a-z, 0-9, _ and -".to_owned()),
+            (_, _, Err(why)) => Some(why.clone()),
+            _ => not_there(model, &editor.parts),
+        };
+        let send = ui.add_enabled(why.is_none(), egui::Button::new("Start together"));
+        let send = send.on_disabled_hover_text(why.clone().unwrap_or_default());
+        if send.clicked()
+            && let (Ok(group), Ok((text, _))) = (group, whole)
+        {
+            editor.sent = Some(requests.push(Request::Submit {
+                target: Target::Group(group),
+                language: Language::Json,
+                text: text.clone(),
+            }));
+        }
+        match why {
+            Some(why) => ui.label(theme::toned(ui, Tone::Warn, format!("⚠ {why}"))),
+            None => ui.label(theme::toned(ui, Tone::Good, "✔ can be sent")),
+        };
+    });
+    sent_ui(ui, model, view);
+}
+
+/// A synchronized job is refused if one node is not there.
+fn not_there(model: &Model, parts: &BTreeMap<NodeId, String>) -> Option<String> {
+    let gone = |id: &&NodeId| !model.node(id).is_some_and(|node| node.is_there());
+    let gone: Vec<&str> = parts.keys().filter(gone).map(NodeId::as_str).collect();
+    (!gone.is_empty()).then(|| format!("not there: {}", gone.join(", ")))
+}
+
+fn parts_ui(ui: &mut Ui, model: &Model, view: &mut View) {
+    let record = record(model, view).cloned();
+    let editor = &mut view.group_job;
+    let mut removed = None;
+    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        for id in editor.parts.keys() {
+            ui.horizontal(|ui| {
+                let open = editor.open == Some(*id);
+                let name = ui.selectable_label(open, id.as_str());
+                theme::named(&name, egui::Role::Button, &format!("Part of {id}"));
+                if name.clicked() {
+                    editor.open = Some(*id);
+                }
+                light_ui(ui, model, record.as_ref(), id);
+                let remove = ui.button("🗑").on_hover_text("Leave this node out");
+                theme::named(&remove, egui::Role::Button, &format!("Leave {id} out"));
+                if remove.clicked() {
+                    removed = Some(*id);
+                }
+            });
+        }
+    });
+    if let Some(removed) = removed {
+        editor.parts.remove(&removed);
+        if editor.open == Some(removed) {
+            editor.open = editor.parts.keys().next().copied();
+        }
+    }
+}
+
+/// What a node's part does, or, before it is sent, the node itself.
+fn light_ui(ui: &mut Ui, model: &Model, record: Option<&JobRecord>, id: &NodeId) {
+    let part = record.and_then(|record| record.parts.as_ref()?.get(id));
+    let node = model.node(id);
+    let ready = node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
+    match part {
+        Some(part) if part.state == JobState::Sent && ready => {
+            theme::node_badge(keys::record::NodeWord::Ready).show(ui);
+        }
+        Some(part) => {
+            theme::job_badge(part.state).show(ui);
+            if let Some(error) = &part.error {
+                ui.label(theme::toned(ui, Tone::Bad, error.to_string()));
+            }
+        }
+        None => {
+            if let Some(node) = node {
+                theme::node_badge(node.word()).show(ui);
+            } else {
+                ui.label(theme::toned(ui, Tone::Warn, "⚠ never heard of"));
+            }
+        }
+    }
+    let start = record.and_then(|record| record.start.as_ref());
+    if let Some(late_us) = start.and_then(|start| start.by_node_us.get(id)) {
+        ui.label(format!("+{late_us:.1} µs"));
+    }
+}
+
+fn sent_job(model: &Model, view: &View) -> Option<JobId> {
+    let ticket = view.group_job.sent?;
+    let sent = model.jobs().sent().find(|sent| sent.ticket == ticket)?;
+    sent.answer.as_ref()?.jobs().first().copied()
+}
+
+fn record<'m>(model: &'m Model, view: &View) -> Option<&'m JobRecord> {
+    model.jobs().get(&sent_job(model, view)?)
+}
+
+fn sent_ui(ui: &mut Ui, model: &Model, view: &mut View) {
+    let Some(ticket) = view.group_job.sent else {
+        return;
+    };
+    let sent = model.jobs().sent().find(|sent| sent.ticket == ticket);
+    let (tone, words) = match sent.map(|sent| &sent.answer) {
+        None => return,
+        Some(None) => (Tone::Plain, "⌛ sent, no receipt yet".to_owned()),
+        Some(Some(Answer::Failed(why))) => (Tone::Bad, format!("✖ {why}")),
+        Some(Some(Answer::Receipts(receipts))) => match receipts.first() {
+            Some(Err(error)) => (Tone::Bad, format!("✖ refused: {error}")),
+            _ => match record(model, view) {
+                Some(record) => progress(model, record),
+                None => (Tone::Plain, "⌛ taken".to_owned()),
+            },
+        },
+        Some(Some(Answer::Sent | Answer::Done { .. })) => return,
+    };
+    ui.horizontal_wrapped(|ui| {
+        ui.label(theme::toned(ui, tone, words).strong());
+        if let Some(job) = sent_job(model, view)
+            && ui.button("Record").clicked()
+        {
+            view.jobs.open = Some(job);
+            view.tab = crate::view::Tab::Jobs;
+        }
+    });
+}
+
+/// From the first part sent to the measured skew.
+fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
+    let badge = theme::job_badge(record.state);
+    let mut words = format!("{} {}: {}", badge.icon, record.job, badge.word);
+    if let Some(error) = &record.error {
+        words += &format!(", {error}");
+    }
+    let parts = record.parts.iter().flatten();
+    let ready = parts.clone().filter(|(id, part)| {
+        let node = model.node(id);
+        let waits = node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
+        part.state == JobState::Running || waits
+    });
+    let (ready, all) = (ready.count(), parts.count());
+    match &record.start {
+        Some(start) if model.now().0 < start.planned.0 => {
+            let left_us = start.planned.0 - model.now().0;
+            words += &format!(", starts in {}", text::micros(left_us as f64));
+        }
+        Some(start) if start.by_node_us.is_empty() => words += ", started, not yet measured",
+        Some(start) => {
+            let (skew, error) = (start.skew_us, start.uncertainty_us);
+            words += &format!(
+                ", started {} apart ± {}",
+                text::micros(skew),
+                text::micros(error)
+            );
+        }
+        None if !record.state.is_final() => words += &format!(", {ready} of {all} ready"),
+        None => {}
+    }
+    (badge.tone, words)
+}
+
+fn part_ui(ui: &mut Ui, view: &mut View, open: NodeId, wrong: Option<&String>) {
+    let editor = &mut view.group_job;
+    let Some(text) = editor.parts.get_mut(&open) else {
+        return;
+    };
+    let prefix = format!("nodes.{open}.");
+    let message = wrong.and_then(|wrong| wrong.split_once(&prefix).map(|(_, rest)| rest));
+    let place = message.and_then(|message| syntax::error_place(text, message));
+    ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+        let label = ui.label(format!("Part of {open} (JSON: commands or lua)"));
+        let mut layouter = |ui: &Ui, text: &dyn egui::TextBuffer, width: f32| {
+            let mut job = highlighted(ui, Language::Json, text.as_str(), place.as_ref());
+            job.wrap.max_width = width;
+            ui.fonts_mut(|fonts| fonts.layout_job(job))
+        };
+        let edit = TextEdit::multiline(text)
+            .code_editor()
+            .layouter(&mut layouter)
+            .desired_width(f32::INFINITY)
+            .desired_rows(6);
+        ui.add(edit).labelled_by(label.id);
+    });
+}

@@ -1,0 +1,186 @@
+//! A node's page: its plots, its path, its clock, its lines and what is known of its setup.
+
+mod fixture;
+mod screen;
+
+use dashboard::{app::Dashboard, message::Message, panels::node::Page};
+use egui::Role;
+use fixture::{at_ms, connected, node, record, status, tell, tell_status};
+use keys::{
+    NodeState,
+    record::{ClockRecord, FaultRecord, NodeWord},
+};
+use screen::{Window, button, click, point_at, show, show_in, shows, snapshot};
+
+const SIZE: [f32; 2] = [1_000.0, 780.0];
+
+/// Two axes draw a circle of 4,000 steps in 10 s; the laser is on for the second half. The clock
+/// drifts and its error shrinks.
+fn circle() -> Dashboard {
+    let mut dashboard = connected();
+    let (id, alive) = (node("laser-1"), true);
+    tell(&mut dashboard, at_ms(0), Message::Alive { node: id, alive });
+    for tick in 0..=100_u64 {
+        let (at, angle) = (
+            at_ms(tick * 100),
+            tick as f64 / 100.0 * std::f64::consts::TAU,
+        );
+        let steps = [2_000.0 * angle.cos(), 2_000.0 * angle.sin()].map(|steps| steps as i64);
+        let mut moving = status(NodeState::Running, tick * 100, steps, 0);
+        moving.executed_commands = 40 - (100 - tick) * 30 / 100;
+        moving.laser_percent = if tick > 50 { 80 } else { 0 };
+        let speeds_hz = [-1_257.0 * angle.sin(), 1_257.0 * angle.cos()];
+        for (axis, speed_hz) in moving.axes.iter_mut().zip(speeds_hz) {
+            axis.speed_mhz = (speed_hz * 1e3) as i32;
+        }
+        tell_status(&mut dashboard, at, "laser-1", moving);
+        if tick.is_multiple_of(10) {
+            let mut told = record("laser-1", NodeWord::Running);
+            told.clock = Some(ClockRecord {
+                offset_us: 1_000.0 - tick as f64,
+                error_us: 20.0 + 2_000.0 / (tick + 10) as f64,
+                drift_ppm: -10.0,
+            });
+            told.faults = vec![FaultRecord {
+                code: 101,
+                message: "link lost while moving".to_owned(),
+                at: keys::FleetMicros(fixture::START.0 + 1_500_000),
+            }];
+            tell(&mut dashboard, at, Message::Node(Box::new(told)));
+        }
+    }
+    for number in 0..3 {
+        for name in ["laser-1", "other"] {
+            let (node, text) = (node(name), format!("line {number} of {name}"));
+            tell(&mut dashboard, at_ms(10_000), Message::Log { node, text });
+        }
+    }
+    dashboard.view.focus = Some(node("laser-1"));
+    dashboard
+}
+
+fn page(page: Page) -> Window {
+    let mut window = show(circle());
+    click(&mut window, Role::Button, page.title());
+    assert_eq!(window.state().view.node.page, page);
+    window
+}
+
+#[test]
+fn what_nobody_sends_is_said_to_be_not_told() {
+    let window = show(circle());
+    for name in ["RSSI", "temperature", "free heap"] {
+        assert!(shows(&window, name), "{name}");
+    }
+    assert!(shows(&window, "not told"));
+}
+
+#[test]
+fn faults_have_their_times() {
+    let window = show(circle());
+    assert!(shows(&window, "03:00:01.500  101 link lost while moving"));
+}
+
+#[test]
+fn the_cursor_reads_position_speed_and_queue() {
+    let mut window = page(Page::Motion);
+    assert!(shows(&window, "point at a plot to read its values"));
+    for plot in ["Plot of Position", "Plot of Speed", "Plot of Queue"] {
+        point_at(&mut window, Role::Image, plot);
+        assert!(shows(&window, "s ago: "), "{plot}");
+        assert!(shows(&window, "waiting"), "{plot}");
+    }
+    let cursor_s = window.state().view.node.cursor_s.expect("in the plot");
+    assert!((-7.0..-3.0).contains(&cursor_s), "the middle: {cursor_s}");
+}
+
+#[test]
+fn the_path_shows_any_two_axes() {
+    let mut window = page(Page::Path);
+    assert!(shows(&window, "Plot of the tool's path"));
+    click(&mut window, Role::ComboBox, "Up");
+    button(&mut window, "axis 0");
+    assert_eq!(window.state().view.node.path_up, 0);
+}
+
+#[test]
+fn the_clock_tells_its_error_at_the_cursor() {
+    let mut window = page(Page::Clock);
+    assert!(shows(&window, "round trip time: not told"));
+    point_at(&mut window, Role::Image, "Plot of Error");
+    assert!(shows(&window, "s ago: +"));
+}
+
+#[test]
+fn a_node_has_only_its_own_lines() {
+    let window = page(Page::Lines);
+    assert!(shows(&window, "4 lines of this node"));
+    assert!(shows(&window, "line 2 of laser-1"));
+}
+
+#[test]
+fn the_setup_says_what_the_firmware_can_do() {
+    let window = page(Page::Setup);
+    assert!(shows(&window, "moves"));
+    assert!(shows(&window, "room for 4096 commands"));
+}
+
+#[test]
+fn a_node_that_said_nothing_has_a_page_without_plots() {
+    for page in Page::ALL {
+        let mut dashboard = connected();
+        let (id, alive) = (node("mute"), true);
+        tell(&mut dashboard, at_ms(0), Message::Alive { node: id, alive });
+        dashboard.view.focus = Some(id);
+        dashboard.view.node.page = page;
+        let window = show(dashboard);
+        assert!(shows(&window, "mute"), "{page:?}");
+    }
+}
+
+#[test]
+fn a_plot_becomes_a_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = page(Page::Motion);
+    window.state_mut().view.node.folder = folder.path().display().to_string();
+    button(&mut window, "Save CSV");
+    window.state_mut().files.wait();
+    window.run_steps(2);
+    assert!(shows(&window, "✔ written: "));
+    let file = folder.path().join("laser-1-motion-2026-11-21T030010.csv");
+    let text = std::fs::read_to_string(&file).expect("the file");
+    let mut lines = text.lines();
+    let head = "heard_unix_us,node_us,queue_commands,laser_percent,\
+                position0_steps,speed0_hz,position1_steps,speed1_hz";
+    assert_eq!(lines.next(), Some(head));
+    let first = "1795230000000000,0,30,0,2000,0,0,1257";
+    assert_eq!(lines.next(), Some(first));
+    assert_eq!(lines.count(), 100);
+    button(&mut window, "Save CSV");
+    window.state_mut().files.wait();
+    window.run_steps(2);
+    assert!(shows(&window, "File exists"), "never over another one");
+}
+
+fn picture(name: &str, page: Page) {
+    snapshot(name, |theme| {
+        let mut dashboard = circle();
+        dashboard.view.node.page = page;
+        show_in(dashboard, theme, SIZE)
+    });
+}
+
+#[test]
+fn picture_of_the_motion() {
+    picture("node_motion", Page::Motion);
+}
+
+#[test]
+fn picture_of_the_path() {
+    picture("node_path", Page::Path);
+}
+
+#[test]
+fn picture_of_the_clock() {
+    picture("node_clock", Page::Clock);
+}
