@@ -196,7 +196,8 @@ impl Files {
     }
 }
 
-fn is_capture(path: &Path) -> bool {
+/// Returns whether a file is a dump or capture of pins, by its name.
+pub fn is_capture(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension
         .is_some_and(|extension| matches!(extension.to_ascii_lowercase().as_str(), "vcd" | "csv"))

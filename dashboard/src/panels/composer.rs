@@ -4,6 +4,7 @@
 use super::{highlight::highlighted, preview};
 use crate::{
     estimate::{Estimate, estimate},
+    files::is_capture,
     message::{Answer, FileOutcome},
     model::{Model, jobs::Sent, select::Pattern},
     request::{Language, Request, Requests, Target, Ticket},
@@ -170,7 +171,9 @@ impl ComposerView {
 /// Notes a file that was dropped on the window in this frame.
 pub fn take_dropped(ui: &Ui, view: &mut View) {
     let dropped = ui.input(|input| input.raw.dropped_files.first().cloned());
-    view.composer.dropped = dropped.map(|file| file.path().display().to_string());
+    // A capture is the pulse inspector's, wherever it falls.
+    let job = dropped.filter(|file| !is_capture(file.path()));
+    view.composer.dropped = job.map(|file| file.path().display().to_string());
 }
 
 /// Opens the file that was dropped, for the node on whose row it fell, if on one.
