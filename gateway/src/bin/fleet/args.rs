@@ -175,7 +175,7 @@ Examples:
   fleet provision /dev/ttyACM0")]
     Provision(crate::provision::Provision),
 
-    /// Run a gateway and five emulated nodes, play a job on each, and check every pulse.
+    /// Run a gateway and six emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
     Demo,
 }
