@@ -1,5 +1,7 @@
 //! Images into slots, with the power cut at every byte, bad signatures, and the way back.
 
+// The same flash in memory, whose power can be cut.
+#[path = "../../provision/tests/flash/mod.rs"]
 mod flash;
 
 use ed25519_dalek::{Signer, SigningKey};
