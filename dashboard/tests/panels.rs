@@ -1,6 +1,7 @@
 //! Every panel, clicked by its accessible names, with a model fed from messages.
 
 mod fixture;
+mod screen;
 
 use dashboard::{
     app::Dashboard,
@@ -9,62 +10,19 @@ use dashboard::{
     view::Tab,
 };
 use egui::{Key, Modifiers, Role};
-use egui_kittest::{
-    Harness, OsThreshold, SnapshotOptions, SnapshotResults, kittest::Queryable as _,
-};
+use egui_kittest::{Harness, kittest::Queryable as _};
 use fixture::{at_ms, fleet, job, node, status, tell, tell_status};
 use keys::{
     NodeState, StopMode,
     record::{ErrorCode, JobError, JobState, Receipt},
 };
+use screen::{button, click, picture, show, shows};
 use std::collections::BTreeSet;
 
-fn show(dashboard: Dashboard) -> Harness<'static, Dashboard> {
-    show_in(dashboard, egui::Theme::Dark, [1_440.0, 860.0])
-}
-
-fn show_in(
-    dashboard: Dashboard,
-    theme: egui::Theme,
-    size: [f32; 2],
-) -> Harness<'static, Dashboard> {
-    let mut harness = Harness::builder()
-        .with_size(size)
-        .with_theme(theme)
-        .with_context_setup(dashboard::theme::apply)
-        .build_ui_state(
-            |ui, dashboard: &mut Dashboard| {
-                // The harness leaves a transparent border, which the packed pictures cannot have.
-                let background = egui::LayerId::background();
-                let (all, fill) = (ui.ctx().content_rect(), ui.visuals().panel_fill);
-                let painter = ui.ctx().layer_painter(background);
-                painter.rect_filled(all, 0.0, fill);
-                dashboard.ui(ui);
-            },
-            dashboard,
-        );
-    harness.run_steps(3);
-    harness
-}
-
-fn click(harness: &mut Harness<'_, Dashboard>, role: Role, name: &str) {
-    harness.get_by_role_and_label(role, name).click();
-    harness.run_steps(3);
-}
-
-fn button(harness: &mut Harness<'_, Dashboard>, name: &str) {
-    click(harness, Role::Button, name);
-}
-
-fn asked(harness: &mut Harness<'_, Dashboard>) -> Vec<Request> {
-    let now = harness.state().model.now();
-    let asked = harness.state_mut().take_requests(now);
-    harness.run_steps(2);
-    asked.into_iter().map(|(_, request)| request).collect()
-}
-
-fn shows(harness: &Harness<'_, Dashboard>, words: &str) -> bool {
-    harness.query_all_by_label_contains(words).next().is_some()
+/// Returns what was asked since the last call, without the tickets.
+fn asked(harness: &mut screen::Screen) -> Vec<Request> {
+    let asked = screen::asked(harness).into_iter();
+    asked.map(|(_, request)| request).collect()
 }
 
 fn stop_all() -> Request {
@@ -381,36 +339,14 @@ fn the_keys_are_shown_by_a_question_mark() {
     assert!(!shows(&harness, "Ctrl+Space"));
 }
 
-/// Small, so that each picture stays below 100 kB; also what a small screen shows.
-const PICTURE_SIZE: [f32; 2] = [980.0, 560.0];
-
-/// Other versions of the software renderer draw edges of glyphs a little differently.
-fn options() -> SnapshotOptions {
-    SnapshotOptions::new()
-        .threshold(OsThreshold::new(1.5))
-        .max_failed_pixels(OsThreshold::new(400))
-}
-
-fn snapshot(name: &str, dashboard: impl Fn() -> Dashboard) {
-    let mut results = SnapshotResults::new();
-    for (theme, suffix) in [(egui::Theme::Dark, "dark"), (egui::Theme::Light, "light")] {
-        let mut harness = show_in(dashboard(), theme, PICTURE_SIZE);
-        harness.remove_cursor();
-        harness.run_steps(2);
-        harness.snapshot_options(format!("{name}_{suffix}"), &options());
-        results.extend_harness(&mut harness);
-    }
-    results.unwrap();
-}
-
 #[test]
 fn picture_of_the_fleet_and_the_jobs() {
-    snapshot("fleet", fleet);
+    picture("fleet", fleet);
 }
 
 #[test]
 fn picture_of_a_stop_that_somebody_misses() {
-    snapshot("stop", || {
+    picture("stop", || {
         let mut dashboard = fleet();
         dashboard.requests.push(stop_all());
         dashboard.take_requests(at_ms(1_000));
@@ -425,7 +361,7 @@ fn picture_of_a_stop_that_somebody_misses() {
 
 #[test]
 fn picture_of_a_node_and_the_composer() {
-    snapshot("node", || {
+    picture("node", || {
         let mut dashboard = fleet();
         dashboard.view.focus = Some(node("cell-a-1"));
         dashboard.view.tab = Tab::Compose;
@@ -437,7 +373,7 @@ fn picture_of_a_node_and_the_composer() {
 
 #[test]
 fn picture_of_the_log_and_the_keys() {
-    snapshot("log", || {
+    picture("log", || {
         let mut dashboard = fleet();
         dashboard.view.tab = Tab::Log;
         dashboard.view.help_open = true;
@@ -447,7 +383,7 @@ fn picture_of_the_log_and_the_keys() {
 
 #[test]
 fn picture_of_a_job_in_detail() {
-    snapshot("job", || {
+    picture("job", || {
         let mut dashboard = fleet();
         dashboard.view.jobs.open = Some(job("cut-7"));
         dashboard
@@ -456,7 +392,7 @@ fn picture_of_a_job_in_detail() {
 
 #[test]
 fn picture_before_anything_is_connected() {
-    snapshot("no_gateway", || {
+    picture("no_gateway", || {
         let mut dashboard = Dashboard::default();
         let to = "tcp/localhost:7447".to_owned();
         let connecting = Message::Link(LinkEvent::Connecting { to });
