@@ -10,6 +10,7 @@ mod marks;
 mod named;
 mod outputs;
 mod reach;
+mod stand;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
@@ -36,7 +37,7 @@ use crate::{
         ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, PATH_AHEAD_TICKS, TICK_HZ, TICKS_PER_US,
     },
     lookahead::{LINES_MAX, Line},
-    planner::{Begun, Planner, Run, Split, runs_of, ticks_of},
+    planner::{Begun, Planner, Run, Split, command_ticks, runs_of, ticks_of},
     profile::Timing,
     steps::Moment,
 };
@@ -218,12 +219,21 @@ enum Barrier {
 #[derive(Clone, Copy, Debug)]
 enum Hold {
     None,
-    /// It slows down, or a command without a path is under way.
+    /// It slows down, or nothing is under way.
     Slowing,
-    /// It rests or will, within this line.
-    At(Split),
-    /// It goes on with this line.
-    Resuming(Split),
+    /// It rests or will, here.
+    At(Place),
+    /// It goes on from here.
+    Resuming(Place),
+}
+
+/// Where motion is held.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// Within this line.
+    Path(Split),
+    /// So long before the end of a raw move or a pause.
+    Raw { left_ticks: u64 },
 }
 
 /// A barrier was released, and its first edge has not been told.
@@ -649,11 +659,14 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                         .drive
                         .is_some_and(|drive| drive.next.is_some() && !self.is_held());
                 let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
+                let change = self.change_due && self.is_held();
+                let change = change.then_some(self.now.plus(CHANGE_AGAIN_TICKS));
                 marks
                     .chain(end)
                     .chain(first_edge)
                     .chain(alarm)
                     .chain(begin)
+                    .chain(change)
                     .min()
             }
         }
@@ -991,19 +1004,24 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if self.phase == Phase::Decelerating && !self.planner.is_at_speed() {
                 break;
             }
-            if let Hold::Resuming(split) = self.hold {
+            if let Hold::Resuming(place) = self.hold {
                 if self.phase != Phase::Rest || !self.are_enabled(AxisSet::QUEUE, lead_ticks) {
                     break;
                 }
                 let at = self.now.max(self.quiet_at);
                 starts_at = Some(at);
                 self.hold = Hold::None;
-                let own = self.marks.take_back(self.now);
-                let at = Moment::of(at.plus(lead_ticks).0);
-                if let Some(own) = own {
-                    self.undo_steps(own);
+                match place {
+                    Place::Raw { left_ticks } => self.go_on_raw(left_ticks, at.plus(lead_ticks)),
+                    Place::Path(split) => {
+                        let own = self.marks.take_back(self.now).map(|mark| mark.what);
+                        let at = Moment::of(at.plus(lead_ticks).0);
+                        if let Some(own) = own {
+                            self.undo_steps(own);
+                        }
+                        self.go_on(Split { at, ..split }, own);
+                    }
                 }
-                self.go_on(Split { at, ..split }, own);
                 continue;
             }
             if let Some(Drive {
@@ -1240,6 +1258,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 /// Longest way of one ramp: 4·10¹⁸ steps, 630,000 years at 200 kHz.
 const WAY_STEPS_MAX: i128 = 1 << 62;
 
+/// A hold that could not be made is tried again after this: 1 ms.
+const CHANGE_AGAIN_TICKS: u64 = 1_000 * TICKS_PER_US;
+
 /// Commands behind a line that are looked at: [`LINES_MAX`] lines and as many between them that
 /// take no time.
 const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
@@ -1272,10 +1293,4 @@ fn takes_no_time(command: &Command) -> bool {
 /// time and the start skew.
 const fn rest_from(timeline: Ticks) -> Ticks {
     timeline.plus(HOLD_TICKS_MAX)
-}
-
-/// Returns how long the longer of the runs takes, ticks.
-fn command_ticks(runs: &[Option<Run>; 2]) -> u64 {
-    let ticks = runs.iter().flatten().filter_map(Run::ticks);
-    ticks.max().unwrap_or(0)
 }

@@ -27,7 +27,7 @@ use keys::Command;
 
 mod raw;
 
-pub(crate) use raw::{Run, runs_of, ticks_of};
+pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
 
 /// What is known of a ramp or line when it begins.
 #[derive(Clone, Copy, Debug)]
