@@ -3,6 +3,7 @@
 mod change;
 mod check;
 mod config;
+mod course;
 mod drive;
 mod homing;
 mod inputs;
@@ -14,7 +15,7 @@ mod stand;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
-pub use drive::{Course, DriveError, Target};
+pub use course::{Course, DriveError, Target};
 pub use named::{CdError, ConfigCd};
 pub use reach::{Beyond, Outlook, SoftLimits};
 
@@ -107,7 +108,10 @@ pub enum MotionEvent {
     /// Motion is held: see [`Motion::hold`].
     Held,
     /// A drive has come to rest: see [`Motion::drive`].
-    DriveEnded,
+    DriveEnded {
+        /// The axis.
+        axis: AxisId,
+    },
     /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`].
     AtBarrier {
         /// Number of the barrier in the queue.
@@ -269,7 +273,7 @@ pub struct Motion<'m, B: StepBackend> {
     change_due: bool,
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
-    drive: Option<Drive>,
+    drives: [Option<Drive>; CHANNELS],
     homing: Option<Homing>,
     cd: Option<Cd>,
     laser: Laser,
@@ -280,6 +284,8 @@ pub struct Motion<'m, B: StepBackend> {
     shift: Option<Shift>,
     /// When the drivers that were switched on let the queue begin.
     enabled_at: Option<Ticks>,
+    /// It waits for them.
+    waits_enable: bool,
     /// A command that waits for rest runs: homing, C or D.
     station: bool,
     homes: [Option<HomeConfig>; CHANNELS],
@@ -381,7 +387,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             hold: Hold::None,
             change_due: false,
             extended_commands: 0,
-            drive: None,
+            drives: [None; CHANNELS],
             homing: None,
             cd,
             laser: Laser::default(),
@@ -392,6 +398,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             enables,
             shift: config.shift.map(Shift::new),
             enabled_at: None,
+            waits_enable: false,
             station: false,
             homes: config.homes,
             frames_steps: [None; CHANNELS],
@@ -479,7 +486,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Returns whether something was accepted and has not ended, or a stop is under way.
     pub fn is_active(&self) -> bool {
         self.accepted_commands > self.executed_commands
-            || self.drive.is_some()
+            || self.is_driving()
             || matches!(self.phase, Phase::Decelerating | Phase::Stopped)
     }
 
@@ -518,7 +525,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     pub fn speed_mhz(&self, axis: AxisId) -> i32 {
         let encoded_mhz = self.encoded_mhz.get(usize::from(axis.0));
         let encoded_mhz = encoded_mhz.copied().unwrap_or(0);
-        if self.phase == Phase::Decelerating || self.drive.is_some() {
+        if self.phase == Phase::Decelerating || self.is_driving() {
             return encoded_mhz;
         }
         let Some(mark) = self.marks.iter().find(|mark| mark.end > self.now) else {
@@ -654,12 +661,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 });
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
                 // A drive or a resumption begins with the next call.
-                let begins = matches!(self.hold, Hold::Resuming(_))
-                    || self
-                        .drive
-                        .is_some_and(|drive| drive.next.is_some() && !self.is_held());
-                let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
-                let change = self.change_due && self.is_held();
+                let begins = matches!(self.hold, Hold::Resuming(_)) || self.begins_drive();
+                let begins = begins && self.phase == Phase::Rest && !self.waits_enable;
+                let begin = begins.then_some(self.now);
+                let drives = self.drives_timeout();
+                let change = self.change_due && (self.is_held() || self.planner.has_path());
                 let change = change.then_some(self.now.plus(CHANGE_AGAIN_TICKS));
                 marks
                     .chain(end)
@@ -667,6 +673,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     .chain(alarm)
                     .chain(begin)
                     .chain(change)
+                    .chain(drives)
                     .min()
             }
         }
@@ -852,6 +859,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 Some(MotionEvent::Stopped)
             }
             Phase::Playing { timeline } => {
+                if let Some(event) = self.pass_drive() {
+                    return Some(event);
+                }
                 if self.now < rest_from(timeline) || self.backend.is_playing() {
                     return None;
                 }
@@ -865,7 +875,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 self.planner.rest();
                 match self.hold {
-                    Hold::None if self.drive.is_some() => return self.pass_drive(),
+                    Hold::None if self.is_driving() => return self.pass_drive(),
                     Hold::None => {}
                     Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
                     Hold::Resuming(_) => return None,
@@ -918,7 +928,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// else each axis by itself.
     fn decelerate(&mut self) {
         self.planner.hold(true);
-        if self.is_drive_ending() || self.change_path().is_some() {
+        if self.is_driving() {
+            self.rest_drives();
+        }
+        if self.is_driving() || self.stop_path().is_some() {
             self.phase = Phase::Decelerating;
             self.note_speeds();
             return;
@@ -957,7 +970,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.planner.forget();
         self.hold = Hold::None;
         self.change_due = false;
-        self.drive = None;
+        self.drives = [None; CHANNELS];
         self.homing = None;
         self.laser = Laser::default();
         self.rest_enables();
@@ -986,8 +999,15 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if self.phase == Phase::Stopped {
             return;
         }
+        if self.is_driving() {
+            let lead_ticks = self.lead_ticks;
+            if let Some(at) = self.plan_drives(lead_ticks) {
+                self.started_at = at;
+                self.backend.start(at, lead_ticks);
+            }
+            return;
+        }
         self.pass_change();
-        self.change_drive();
         self.extend_path();
         if self.phase != Phase::Rest {
             let axes = &self.backend.axes()[..self.axis_count];
@@ -1022,36 +1042,6 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                         self.go_on(Split { at, ..split }, own);
                     }
                 }
-                continue;
-            }
-            if let Some(Drive {
-                axis, next, due, ..
-            }) = self.drive
-            {
-                let begins = (!due || self.phase == Phase::Rest) && !self.is_held();
-                let Some(leg) = next.filter(|_| begins) else {
-                    break;
-                };
-                let appends = self.can_append(starts_at.is_some());
-                let enabled =
-                    self.phase != Phase::Rest || self.are_enabled(AxisSet::QUEUE, lead_ticks);
-                let begin = match self.phase {
-                    _ if !enabled => break,
-                    Phase::Playing { timeline } if appends => timeline,
-                    Phase::Rest => {
-                        let at = self.now.max(self.quiet_at);
-                        starts_at = Some(at);
-                        at.plus(lead_ticks)
-                    }
-                    _ => break,
-                };
-                self.drive = Some(Drive {
-                    axis,
-                    next: None,
-                    due: false,
-                    ending: false,
-                });
-                self.begin_leg(axis, leg, begin);
                 continue;
             }
             let Some(command) = self.ring.peek() else {
@@ -1138,9 +1128,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if let Some(at) = starts_at {
             self.started_at = at;
             self.backend.start(at, lead_ticks);
-            if self.drive.is_none() {
-                self.give_laser_back();
-            }
+            self.give_laser_back();
         }
     }
 

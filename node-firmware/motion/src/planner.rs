@@ -26,8 +26,12 @@ use crate::{
 use keys::Command;
 
 mod raw;
+mod ways;
 
 pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
+pub(crate) use ways::Left;
+
+use ways::Way;
 
 /// What is known of a ramp or line when it begins.
 #[derive(Clone, Copy, Debug)]
@@ -122,6 +126,9 @@ pub(crate) struct Split {
     pub(crate) base_steps: [i64; CHANNELS],
 }
 
+/// Longest way of one drive, steps: 360,000 years at 200 kHz.
+pub(crate) const WAY_STEPS_MAX: i128 = 1 << 61;
+
 /// A path that is left more slowly than one step in this time is at rest: 4.6 hours.
 const SLOWEST_TICKS: u64 = 1 << 38;
 
@@ -209,7 +216,7 @@ impl Tail {
 
 /// How the last line is left: speed and acceleration of the tool, and when.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct Exited {
     speed: Real,
     accel: Real,
     at: Moment,
@@ -232,7 +239,7 @@ pub(crate) struct Planner {
     writing: usize,
     /// What is not yet written of the one before.
     steps: Option<Steps>,
-    left: Option<Left>,
+    left: Option<Exited>,
     ahead: LookAhead,
     /// What was encoded when the plan was left last.
     rewound: [Made; CHANNELS],
@@ -240,6 +247,8 @@ pub(crate) struct Planner {
     holding: bool,
     /// Share of the lines' speeds, 2⁻¹⁶.
     share: u32,
+    /// Axes that are driven each by itself.
+    ways: [Way; CHANNELS],
 }
 
 /// All of a line's speed.
@@ -265,6 +274,7 @@ impl Planner {
             }; CHANNELS],
             holding: false,
             share: WHOLE,
+            ways: [Way::NONE; CHANNELS],
         }
     }
 
@@ -284,7 +294,8 @@ impl Planner {
 
     /// Returns whether something of a path is not written.
     pub(crate) fn is_unfinished(&self) -> bool {
-        self.left.is_some() || self.steps.is_some() || self.writing < self.count
+        let ways = self.ways.iter().any(Way::is_unfinished);
+        ways || self.left.is_some() || self.steps.is_some() || self.writing < self.count
     }
 
     /// All axes rest, and nothing is planned.
@@ -308,11 +319,25 @@ impl Planner {
         self.steps = None;
         self.left = None;
         self.ahead.clear();
+        self.ways.iter_mut().for_each(Way::clear);
     }
 
-    /// Returns whether another line can begin.
+    /// Returns whether another line can begin; a change and a stop then still can, too.
     pub(crate) fn has_room(&self) -> bool {
-        self.count < STRETCHES_MAX
+        self.count + 2 < STRETCHES_MAX
+    }
+
+    /// Returns whether what is under way at `cut` can be left for something else; after a change
+    /// that is no stop, a stop still can.
+    pub(crate) fn can_change(&self, cut: u64, stops: bool) -> bool {
+        let spare = if stops { 1 } else { 2 };
+        let under_way = self.stretch_at(cut);
+        under_way.is_some_and(|index| index + spare < STRETCHES_MAX)
+    }
+
+    /// Returns whether something of a path is planned.
+    pub(crate) fn has_path(&self) -> bool {
+        self.count > 0
     }
 
     /// Forgets what is encoded on every axis.
@@ -461,7 +486,7 @@ impl Planner {
         }
         stretch.end_ticks = steps.end().ticks;
         if stretch.exit == Exit::Moving {
-            self.left = Some(Left {
+            self.left = Some(Exited {
                 speed: end.speed * line.stretch,
                 // Without a limit of jerk an acceleration ends at once.
                 accel: match line.law.jerk() {
@@ -485,7 +510,7 @@ impl Planner {
                 base_steps,
             }),
         };
-        assert!(self.has_room(), "asked before");
+        assert!(self.count < STRETCHES_MAX, "asked before");
         self.stretches[self.count] = Some(stretch);
         self.count += 1;
         if self.steps.is_none() && self.writing + 1 == self.count {
@@ -602,6 +627,27 @@ impl Planner {
         self.left = None;
         self.ahead.clear();
         let stretch = self.stretches[index].as_mut()?;
+        if stretch.begin.ticks == cut {
+            // It has not begun: a change on top of another.
+            let Stretch {
+                line,
+                mut from,
+                begin,
+                base_steps,
+                ..
+            } = *stretch;
+            self.count = index;
+            self.writing = self.writing.min(index);
+            if line.law.jerk().is_none() {
+                from.accel = Real::ZERO;
+            }
+            return Some(Split {
+                line: self.unshared(line),
+                from,
+                at: begin,
+                base_steps,
+            });
+        }
         let since = Real::of(cut - stretch.begin.ticks) - stretch.begin.part;
         let mut from = stretch.path().state_at(since);
         if stretch.line.law.jerk().is_none() {

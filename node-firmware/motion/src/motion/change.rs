@@ -20,15 +20,22 @@ impl<B: StepBackend> Motion<'_, B> {
     /// same line, under what has changed. Returns when the line ends now, `None` if no ramp or line
     /// is under way: then nothing has happened.
     pub(super) fn change_path(&mut self) -> Option<Begun> {
+        self.leave_path(false)
+    }
+
+    /// The same for a stop, which must not have to wait.
+    pub(super) fn stop_path(&mut self) -> Option<Begun> {
+        self.leave_path(true)
+    }
+
+    fn leave_path(&mut self, stops: bool) -> Option<Begun> {
         let Phase::Playing { .. } = self.phase else {
             return None;
         };
-        if self.is_drive_ending() {
-            return None;
-        }
         let axes = &mut self.backend.axes()[..self.axis_count];
         let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
-        if !on_path || axes.iter().any(Axis::has_ended) {
+        let room = self.planner.can_change(cut, stops);
+        if !on_path || !room || axes.iter().any(Axis::has_ended) {
             return None;
         }
         self.planner.rewind(axes, self.started_at.0);
@@ -46,7 +53,7 @@ impl<B: StepBackend> Motion<'_, B> {
         Some(self.go_on(split, own))
     }
 
-    /// Goes on with a line that was left; `own` is its mark, a drive has none.
+    /// Goes on with a line that was left; `own` is its mark.
     pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
         let ring = &self.ring;
         let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some());
@@ -100,6 +107,10 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     fn change(&mut self) -> bool {
+        if self.is_driving() {
+            self.change_drives();
+            return true;
+        }
         self.change_path().is_some() || (self.is_held() && self.stand_still())
     }
 
@@ -133,7 +144,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Hold::None | Hold::Resuming(_) => {}
         }
         if let Phase::Playing { .. } = self.phase
-            && self.drive.is_none()
+            && !self.is_driving()
         {
             self.give_laser_back();
         }

@@ -22,16 +22,16 @@ impl<B: StepBackend> Motion<'_, B> {
         let Phase::Playing { timeline } = self.phase else {
             return false;
         };
+        if self.is_driving() {
+            return false;
+        }
         if let Hold::At(_) = self.hold {
             return true;
         }
         let started_at = self.started_at.0;
         let axes = &mut self.backend.axes()[..self.axis_count];
         let (cut, _) = self.planner.cut_ticks(axes, started_at);
-        if self.drive.is_some()
-            || axes.iter().any(Axis::has_ended)
-            || !self.planner.is_raw_until(cut, axes, started_at)
-        {
+        if axes.iter().any(Axis::has_ended) || !self.planner.is_raw_until(cut, axes, started_at) {
             return false;
         }
         if timeline.0 <= cut {
