@@ -10,7 +10,7 @@ use crate::{
     memory::RingMemory,
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
-    record::{InputEdge, Life, TakenCommand},
+    record::{Held, InputEdge, Life, TakenCommand},
     vcd::VcdWriter,
 };
 use keys::{
@@ -127,6 +127,7 @@ pub struct EmulatedNode {
     stops: Vec<keys::StopReport>,
     edges: Vec<PinEvent>,
     inputs: Vec<InputEdge>,
+    holds: Vec<Held>,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -177,6 +178,7 @@ impl EmulatedNode {
             stops: Vec::new(),
             edges: Vec::new(),
             inputs: Vec::new(),
+            holds: Vec::new(),
             cut: false,
             past: Vec::new(),
             vcd: None,
@@ -408,6 +410,7 @@ impl EmulatedNode {
             stops: self.stops.clone(),
             edges: self.edges.clone(),
             inputs: self.inputs.clone(),
+            holds: self.holds.clone(),
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
@@ -437,6 +440,7 @@ impl EmulatedNode {
             stops: mem::take(&mut self.stops),
             edges: mem::take(&mut self.edges),
             inputs: mem::take(&mut self.inputs),
+            holds: mem::take(&mut self.holds),
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
@@ -485,6 +489,7 @@ impl EmulatedNode {
     /// Lets time pass up to `now`, in steps that are short where a switch could change, so that the
     /// node hears of it in time.
     fn look(&mut self, now: LocalMicros) {
+        self.record_hold();
         if self.machine.is_empty() {
             return;
         }
@@ -505,8 +510,28 @@ impl EmulatedNode {
         }
     }
 
+    /// Notes whether motion is held now.
+    fn record_hold(&mut self) {
+        let motion = self.node.motion();
+        let at = motion.now().0;
+        let open = self.holds.last_mut();
+        let open = open.filter(|held| held.until_ticks.is_none());
+        match (open, motion.is_held(), self.config.record) {
+            (Some(held), false, _) => held.until_ticks = Some(at),
+            (None, true, Recording::Edges { max }) if !self.cut => {
+                self.holds.push(Held {
+                    from_ticks: at,
+                    until_ticks: None,
+                });
+                self.cut |= self.holds.len() > max;
+            }
+            _ => {}
+        }
+    }
+
     /// Notes what the last call did, and tells the node what its inputs did.
     fn observe(&mut self, now: LocalMicros) {
+        self.record_hold();
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }

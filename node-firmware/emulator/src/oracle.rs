@@ -13,6 +13,7 @@
 //! | lines in a row, which may be joined | limits of speed, acceleration, jerk and corners; all axes at one place; never longer than with a halt at each corner |
 //! | axes that start together | within [`Limits::skew_ticks`] |
 //! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
+//! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
 //! | position = counter = counted edges | exactly |
@@ -25,11 +26,12 @@
 //! |---|---|
 //! | `pins` | levels and their times |
 //! | `queues` | commands against steps, one after the other |
-//! | `moves` | raw moves |
+//! | `moves`, `holds` | raw moves, and a hold in the midst of them |
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
 //! | `homing` | the way to a reference switch and off it |
 
+mod holds;
 mod homing;
 mod moves;
 mod paths;
@@ -273,6 +275,7 @@ struct Judge<'l> {
     homes: &'l [HomeFacts],
     inverted: &'l [bool],
     lidar_waits: bool,
+    holds: holds::Holds,
     /// Nothing of what is still to be read leaves before this, ticks.
     not_before: u64,
 }
@@ -290,6 +293,7 @@ impl<'l> Judge<'l> {
             homes: &life.homes,
             inverted: &life.inverted,
             lidar_waits: life.lidar_waits,
+            holds: holds::Holds::new(&life.holds),
             not_before: 0,
         }
     }

@@ -32,6 +32,15 @@ pub struct InputEdge {
     pub counted_steps: [i64; LINE_AXES],
 }
 
+/// A time in which motion was held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Held {
+    /// From when on, ticks since the node's boot.
+    pub from_ticks: u64,
+    /// Until when; `None` if it still is.
+    pub until_ticks: Option<u64>,
+}
+
 /// What `home` means for one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HomeFacts {
@@ -72,6 +81,8 @@ pub struct Life {
     pub edges: Vec<PinEvent>,
     /// Every change of an input, in order of time.
     pub inputs: Vec<InputEdge>,
+    /// When motion was held, in order of time.
+    pub holds: Vec<Held>,
     /// How the axes are homed that can be.
     pub homes: Vec<HomeFacts>,
     /// Axes whose direction pin is low for positive.

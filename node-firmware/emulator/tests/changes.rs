@@ -4,8 +4,11 @@
 
 mod bench;
 
-use bench::{Bench, config};
-use emulator::{pins::Pin, record::Life};
+use bench::{
+    Bench, config,
+    motor::{HZ, Random, keeps_limits, steps_of},
+};
+use emulator::record::Life;
 use keys::{
     AxisId, Command, LocalMicros, NodeState, StopMode,
     command::{Ramp, RampShape},
@@ -15,7 +18,6 @@ use motion::{Course, Direction, Motion, Target, Ticks};
 
 const X: AxisId = AxisId(0);
 const Y: AxisId = AxisId(1);
-const HZ: f64 = 16e6;
 
 const TRAPEZOID: RampShape = RampShape::Trapezoid {
     linear_steps: 0,
@@ -23,24 +25,6 @@ const TRAPEZOID: RampShape = RampShape::Trapezoid {
 };
 
 type InnerMotion<'m> = Motion<'m, emulator::pulse::VirtualRmt>;
-
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ z >> 31) % bound
-    }
-
-    /// Small ones as often as large ones.
-    fn of_size(&mut self, bits: u64) -> u64 {
-        let size = self.below(bits) + 1;
-        1 + self.below(1 << size)
-    }
-}
 
 fn ramp(axis: AxisId, steps: i32, speed_hz: u32, accel_hz_per_s: u32, shape: RampShape) -> Command {
     Command::Ramp {
@@ -66,54 +50,6 @@ impl Bench {
 
     fn position(&self, axis: AxisId) -> i64 {
         self.node.status().axes[usize::from(axis.0)].position_steps
-    }
-}
-
-/// Times (s) and signs of an axis' steps.
-fn steps_of(life: &Life, axis: AxisId) -> Vec<(f64, i64)> {
-    let mut sign = -1;
-    let mut steps = Vec::new();
-    for event in &life.edges {
-        match event.pin {
-            Pin::Direction(of) if of == axis => sign = if event.level { 1 } else { -1 },
-            Pin::Step(of) if of == axis && event.level => {
-                steps.push((event.at_ticks as f64 / HZ, sign));
-            }
-            _ => {}
-        }
-    }
-    steps
-}
-
-/// Demands that no speed and no acceleration is greater; each edge may be a tick off. `jump` is
-/// allowed on top of a change of speed.
-fn keeps_limits(life: &Life, axis: AxisId, speed: f64, accel: f64, jump: f64, what: &str) {
-    let steps = steps_of(life, axis);
-    for run in steps.chunk_by(|a, b| a.1 == b.1) {
-        for window in [1, 2, 5, 20] {
-            let mut index = 0;
-            while index + 2 * window < run.len() {
-                let at = |offset: usize| run[index + offset].0;
-                let (first, second) = (at(window) - at(0), at(2 * window) - at(window));
-                let (slow, fast) = (window as f64 / first, window as f64 / second);
-                let error = 2.0 / HZ * (slow / first + fast / second);
-                assert!(
-                    fast <= speed + error + jump,
-                    "{what}: axis {} at {:.6} s: {fast} Hz of {speed}",
-                    axis.0,
-                    at(window)
-                );
-                let most = accel * (first + second) / 2.0 + error + jump;
-                assert!(
-                    (fast - slow).abs() <= most,
-                    "{what}: axis {} at {:.6} s: from {slow} to {fast} Hz, {} steps/s²",
-                    axis.0,
-                    at(window),
-                    (fast - slow) / (first + second) * 2.0
-                );
-                index += 1;
-            }
-        }
     }
 }
 
@@ -387,6 +323,29 @@ fn a_change_takes_effect_within_two_milliseconds() {
         let made = (bench.position(X) - before) as f64;
         let most = slowing + f64::from(speed_hz) * 0.002 + 2.0;
         assert!(made <= most, "{speed_hz} Hz: {made} steps of {most}");
+    }
+}
+
+#[test]
+fn any_number_of_changes_at_one_instant_or_in_quick_succession_is_taken() {
+    for wait_us in [0, 1, 130] {
+        let mut bench = Bench::new(config());
+        let line = Command::Line {
+            steps: [4_000, 1_000, 0, 0],
+            speed_hz: 100_000,
+            accel_hz_per_s: 1_000_000,
+            jerk_hz_per_s2: 0,
+        };
+        bench.order([line; 20]);
+        bench.run_until(60_000);
+        for percent in 0..300 {
+            bench.motion().set_speed_percent(50 + percent % 50);
+            bench.run_for(wait_us);
+        }
+        bench.run_to_rest();
+        assert_eq!([bench.position(X), bench.position(Y)], [80_000, 20_000]);
+        let life = pins_are_right(&bench, "");
+        keeps_limits(&life, X, 100_000.0, 1_000_000.0, 0.0, "");
     }
 }
 

@@ -3,6 +3,7 @@
 mod change;
 mod check;
 mod config;
+mod course;
 mod drive;
 mod homing;
 mod inputs;
@@ -10,10 +11,11 @@ mod marks;
 mod named;
 mod outputs;
 mod reach;
+mod stand;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
-pub use drive::{Course, DriveError, Target};
+pub use course::{Course, DriveError, Target};
 pub use named::{CdError, ConfigCd};
 pub use reach::{Beyond, Outlook, SoftLimits};
 
@@ -36,7 +38,7 @@ use crate::{
         ALARM_TICKS, CHANNELS, HOLD_TICKS_MAX, MARKS_MAX, PATH_AHEAD_TICKS, TICK_HZ, TICKS_PER_US,
     },
     lookahead::{LINES_MAX, Line},
-    planner::{Begun, Planner, Run, Split, runs_of, ticks_of},
+    planner::{Begun, Planner, Run, Split, command_ticks, runs_of, ticks_of},
     profile::Timing,
     steps::Moment,
 };
@@ -106,7 +108,10 @@ pub enum MotionEvent {
     /// Motion is held: see [`Motion::hold`].
     Held,
     /// A drive has come to rest: see [`Motion::drive`].
-    DriveEnded,
+    DriveEnded {
+        /// The axis.
+        axis: AxisId,
+    },
     /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`].
     AtBarrier {
         /// Number of the barrier in the queue.
@@ -218,12 +223,21 @@ enum Barrier {
 #[derive(Clone, Copy, Debug)]
 enum Hold {
     None,
-    /// It slows down, or a command without a path is under way.
+    /// It slows down, or nothing is under way.
     Slowing,
-    /// It rests or will, within this line.
-    At(Split),
-    /// It goes on with this line.
-    Resuming(Split),
+    /// It rests or will, here.
+    At(Place),
+    /// It goes on from here.
+    Resuming(Place),
+}
+
+/// Where motion is held.
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// Within this line.
+    Path(Split),
+    /// So long before the end of a raw move or a pause.
+    Raw { left_ticks: u64 },
 }
 
 /// A barrier was released, and its first edge has not been told.
@@ -259,7 +273,7 @@ pub struct Motion<'m, B: StepBackend> {
     change_due: bool,
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
-    drive: Option<Drive>,
+    drives: [Option<Drive>; CHANNELS],
     homing: Option<Homing>,
     cd: Option<Cd>,
     laser: Laser,
@@ -270,6 +284,8 @@ pub struct Motion<'m, B: StepBackend> {
     shift: Option<Shift>,
     /// When the drivers that were switched on let the queue begin.
     enabled_at: Option<Ticks>,
+    /// It waits for them.
+    waits_enable: bool,
     /// A command that waits for rest runs: homing, C or D.
     station: bool,
     homes: [Option<HomeConfig>; CHANNELS],
@@ -371,7 +387,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             hold: Hold::None,
             change_due: false,
             extended_commands: 0,
-            drive: None,
+            drives: [None; CHANNELS],
             homing: None,
             cd,
             laser: Laser::default(),
@@ -382,6 +398,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             enables,
             shift: config.shift.map(Shift::new),
             enabled_at: None,
+            waits_enable: false,
             station: false,
             homes: config.homes,
             frames_steps: [None; CHANNELS],
@@ -469,7 +486,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// Returns whether something was accepted and has not ended, or a stop is under way.
     pub fn is_active(&self) -> bool {
         self.accepted_commands > self.executed_commands
-            || self.drive.is_some()
+            || self.is_driving()
             || matches!(self.phase, Phase::Decelerating | Phase::Stopped)
     }
 
@@ -508,7 +525,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     pub fn speed_mhz(&self, axis: AxisId) -> i32 {
         let encoded_mhz = self.encoded_mhz.get(usize::from(axis.0));
         let encoded_mhz = encoded_mhz.copied().unwrap_or(0);
-        if self.phase == Phase::Decelerating || self.drive.is_some() {
+        if self.phase == Phase::Decelerating || self.is_driving() {
             return encoded_mhz;
         }
         let Some(mark) = self.marks.iter().find(|mark| mark.end > self.now) else {
@@ -644,16 +661,19 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 });
                 let alarm = self.alarm().filter(|_| self.phase == Phase::Rest);
                 // A drive or a resumption begins with the next call.
-                let begins = matches!(self.hold, Hold::Resuming(_))
-                    || self
-                        .drive
-                        .is_some_and(|drive| drive.next.is_some() && !self.is_held());
-                let begin = (begins && self.phase == Phase::Rest).then_some(self.now);
+                let begins = matches!(self.hold, Hold::Resuming(_)) || self.begins_drive();
+                let begins = begins && self.phase == Phase::Rest && !self.waits_enable;
+                let begin = begins.then_some(self.now);
+                let drives = self.drives_timeout();
+                let change = self.change_due && (self.is_held() || self.planner.has_path());
+                let change = change.then_some(self.now.plus(CHANGE_AGAIN_TICKS));
                 marks
                     .chain(end)
                     .chain(first_edge)
                     .chain(alarm)
                     .chain(begin)
+                    .chain(change)
+                    .chain(drives)
                     .min()
             }
         }
@@ -839,6 +859,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 Some(MotionEvent::Stopped)
             }
             Phase::Playing { timeline } => {
+                if let Some(event) = self.pass_drive() {
+                    return Some(event);
+                }
                 if self.now < rest_from(timeline) || self.backend.is_playing() {
                     return None;
                 }
@@ -852,7 +875,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                 }
                 self.planner.rest();
                 match self.hold {
-                    Hold::None if self.drive.is_some() => return self.pass_drive(),
+                    Hold::None if self.is_driving() => return self.pass_drive(),
                     Hold::None => {}
                     Hold::Slowing | Hold::At(_) => return Some(MotionEvent::Held),
                     Hold::Resuming(_) => return None,
@@ -905,7 +928,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     /// else each axis by itself.
     fn decelerate(&mut self) {
         self.planner.hold(true);
-        if self.is_drive_ending() || self.change_path().is_some() {
+        if self.is_driving() {
+            self.rest_drives();
+        }
+        if self.is_driving() || self.stop_path().is_some() {
             self.phase = Phase::Decelerating;
             self.note_speeds();
             return;
@@ -944,7 +970,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.planner.forget();
         self.hold = Hold::None;
         self.change_due = false;
-        self.drive = None;
+        self.drives = [None; CHANNELS];
         self.homing = None;
         self.laser = Laser::default();
         self.rest_enables();
@@ -973,8 +999,15 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if self.phase == Phase::Stopped {
             return;
         }
+        if self.is_driving() {
+            let lead_ticks = self.lead_ticks;
+            if let Some(at) = self.plan_drives(lead_ticks) {
+                self.started_at = at;
+                self.backend.start(at, lead_ticks);
+            }
+            return;
+        }
         self.pass_change();
-        self.change_drive();
         self.extend_path();
         if self.phase != Phase::Rest {
             let axes = &self.backend.axes()[..self.axis_count];
@@ -991,49 +1024,24 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if self.phase == Phase::Decelerating && !self.planner.is_at_speed() {
                 break;
             }
-            if let Hold::Resuming(split) = self.hold {
+            if let Hold::Resuming(place) = self.hold {
                 if self.phase != Phase::Rest || !self.are_enabled(AxisSet::QUEUE, lead_ticks) {
                     break;
                 }
                 let at = self.now.max(self.quiet_at);
                 starts_at = Some(at);
                 self.hold = Hold::None;
-                let own = self.marks.take_back(self.now);
-                let at = Moment::of(at.plus(lead_ticks).0);
-                if let Some(own) = own {
-                    self.undo_steps(own);
-                }
-                self.go_on(Split { at, ..split }, own);
-                continue;
-            }
-            if let Some(Drive {
-                axis, next, due, ..
-            }) = self.drive
-            {
-                let begins = (!due || self.phase == Phase::Rest) && !self.is_held();
-                let Some(leg) = next.filter(|_| begins) else {
-                    break;
-                };
-                let appends = self.can_append(starts_at.is_some());
-                let enabled =
-                    self.phase != Phase::Rest || self.are_enabled(AxisSet::QUEUE, lead_ticks);
-                let begin = match self.phase {
-                    _ if !enabled => break,
-                    Phase::Playing { timeline } if appends => timeline,
-                    Phase::Rest => {
-                        let at = self.now.max(self.quiet_at);
-                        starts_at = Some(at);
-                        at.plus(lead_ticks)
+                match place {
+                    Place::Raw { left_ticks } => self.go_on_raw(left_ticks, at.plus(lead_ticks)),
+                    Place::Path(split) => {
+                        let own = self.marks.take_back(self.now).map(|mark| mark.what);
+                        let at = Moment::of(at.plus(lead_ticks).0);
+                        if let Some(own) = own {
+                            self.undo_steps(own);
+                        }
+                        self.go_on(Split { at, ..split }, own);
                     }
-                    _ => break,
-                };
-                self.drive = Some(Drive {
-                    axis,
-                    next: None,
-                    due: false,
-                    ending: false,
-                });
-                self.begin_leg(axis, leg, begin);
+                }
                 continue;
             }
             let Some(command) = self.ring.peek() else {
@@ -1120,9 +1128,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         if let Some(at) = starts_at {
             self.started_at = at;
             self.backend.start(at, lead_ticks);
-            if self.drive.is_none() {
-                self.give_laser_back();
-            }
+            self.give_laser_back();
         }
     }
 
@@ -1240,6 +1246,9 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 /// Longest way of one ramp: 4·10¹⁸ steps, 630,000 years at 200 kHz.
 const WAY_STEPS_MAX: i128 = 1 << 62;
 
+/// A hold that could not be made is tried again after this: 1 ms.
+const CHANGE_AGAIN_TICKS: u64 = 1_000 * TICKS_PER_US;
+
 /// Commands behind a line that are looked at: [`LINES_MAX`] lines and as many between them that
 /// take no time.
 const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
@@ -1272,10 +1281,4 @@ fn takes_no_time(command: &Command) -> bool {
 /// time and the start skew.
 const fn rest_from(timeline: Ticks) -> Ticks {
     timeline.plus(HOLD_TICKS_MAX)
-}
-
-/// Returns how long the longer of the runs takes, ticks.
-fn command_ticks(runs: &[Option<Run>; 2]) -> u64 {
-    let ticks = runs.iter().flatten().filter_map(Run::ticks);
-    ticks.max().unwrap_or(0)
 }

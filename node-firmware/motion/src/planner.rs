@@ -15,7 +15,7 @@
 use crate::{
     axis::Axis,
     law::Law,
-    limits::{CHANNELS, COMMAND_TICKS_MAX, TICKS_PER_US, WORD_TICKS_MIN},
+    limits::{CHANNELS, WORD_TICKS_MIN},
     lookahead::{Line, LookAhead},
     path::{Path, State},
     profile::Timing,
@@ -23,57 +23,15 @@ use crate::{
     segment::{Direction, Segment},
     steps::{Exit, Moment, Steps},
 };
-use keys::{AxisId, Command};
+use keys::Command;
 
-/// The steps of one axis in one command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Run {
-    pub(crate) axis: AxisId,
-    pub(crate) interval_ticks: u64,
-    pub(crate) steps: i32,
-}
+mod raw;
+mod ways;
 
-impl Run {
-    pub(crate) fn ticks(&self) -> Option<u64> {
-        u64::from(self.steps.unsigned_abs()).checked_mul(self.interval_ticks)
-    }
-}
+pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
+pub(crate) use ways::Left;
 
-/// Returns the steps of a command, on at most two axes.
-pub(crate) fn runs_of(command: &Command) -> impl Iterator<Item = Run> + use<> {
-    let run = |axis: u8, delay_us: u32, steps: i32| {
-        (steps != 0).then_some(Run {
-            axis: AxisId(axis),
-            interval_ticks: u64::from(delay_us) * TICKS_PER_US,
-            steps,
-        })
-    };
-    let runs = match *command {
-        Command::Move {
-            axis,
-            delay_us,
-            steps,
-        } => [run(axis.0, delay_us, steps), None],
-        Command::SyncMove { delay_us, steps } => {
-            [run(0, delay_us[0], steps[0]), run(1, delay_us[1], steps[1])]
-        }
-        _ => [None, None],
-    };
-    runs.into_iter().flatten()
-}
-
-/// Returns how long a command takes without any turn, `None` if that is more than
-/// [`COMMAND_TICKS_MAX`].
-pub(crate) fn ticks_of(command: &Command) -> Option<u64> {
-    let mut ticks = match *command {
-        Command::Pause { pause_ms } => u64::from(pause_ms) * 1_000 * TICKS_PER_US,
-        _ => 0,
-    };
-    for run in runs_of(command) {
-        ticks = ticks.max(run.ticks()?);
-    }
-    (ticks <= COMMAND_TICKS_MAX).then_some(ticks)
-}
+use ways::Way;
 
 /// What is known of a ramp or line when it begins.
 #[derive(Clone, Copy, Debug)]
@@ -168,6 +126,9 @@ pub(crate) struct Split {
     pub(crate) base_steps: [i64; CHANNELS],
 }
 
+/// Longest way of one drive, steps: 360,000 years at 200 kHz.
+pub(crate) const WAY_STEPS_MAX: i128 = 1 << 61;
+
 /// A path that is left more slowly than one step in this time is at rest: 4.6 hours.
 const SLOWEST_TICKS: u64 = 1 << 38;
 
@@ -255,7 +216,7 @@ impl Tail {
 
 /// How the last line is left: speed and acceleration of the tool, and when.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct Exited {
     speed: Real,
     accel: Real,
     at: Moment,
@@ -278,7 +239,7 @@ pub(crate) struct Planner {
     writing: usize,
     /// What is not yet written of the one before.
     steps: Option<Steps>,
-    left: Option<Left>,
+    left: Option<Exited>,
     ahead: LookAhead,
     /// What was encoded when the plan was left last.
     rewound: [Made; CHANNELS],
@@ -286,6 +247,8 @@ pub(crate) struct Planner {
     holding: bool,
     /// Share of the lines' speeds, 2⁻¹⁶.
     share: u32,
+    /// Axes that are driven each by itself.
+    ways: [Way; CHANNELS],
 }
 
 /// All of a line's speed.
@@ -311,6 +274,7 @@ impl Planner {
             }; CHANNELS],
             holding: false,
             share: WHOLE,
+            ways: [Way::NONE; CHANNELS],
         }
     }
 
@@ -330,7 +294,8 @@ impl Planner {
 
     /// Returns whether something of a path is not written.
     pub(crate) fn is_unfinished(&self) -> bool {
-        self.left.is_some() || self.steps.is_some() || self.writing < self.count
+        let ways = self.ways.iter().any(Way::is_unfinished);
+        ways || self.left.is_some() || self.steps.is_some() || self.writing < self.count
     }
 
     /// All axes rest, and nothing is planned.
@@ -354,11 +319,25 @@ impl Planner {
         self.steps = None;
         self.left = None;
         self.ahead.clear();
+        self.ways.iter_mut().for_each(Way::clear);
     }
 
-    /// Returns whether another line can begin.
+    /// Returns whether another line can begin; a change and a stop then still can, too.
     pub(crate) fn has_room(&self) -> bool {
-        self.count < STRETCHES_MAX
+        self.count + 2 < STRETCHES_MAX
+    }
+
+    /// Returns whether what is under way at `cut` can be left for something else; after a change
+    /// that is no stop, a stop still can.
+    pub(crate) fn can_change(&self, cut: u64, stops: bool) -> bool {
+        let spare = if stops { 1 } else { 2 };
+        let under_way = self.stretch_at(cut);
+        under_way.is_some_and(|index| index + spare < STRETCHES_MAX)
+    }
+
+    /// Returns whether something of a path is planned.
+    pub(crate) fn has_path(&self) -> bool {
+        self.count > 0
     }
 
     /// Forgets what is encoded on every axis.
@@ -507,7 +486,7 @@ impl Planner {
         }
         stretch.end_ticks = steps.end().ticks;
         if stretch.exit == Exit::Moving {
-            self.left = Some(Left {
+            self.left = Some(Exited {
                 speed: end.speed * line.stretch,
                 // Without a limit of jerk an acceleration ends at once.
                 accel: match line.law.jerk() {
@@ -531,7 +510,7 @@ impl Planner {
                 base_steps,
             }),
         };
-        assert!(self.has_room(), "asked before");
+        assert!(self.count < STRETCHES_MAX, "asked before");
         self.stretches[self.count] = Some(stretch);
         self.count += 1;
         if self.steps.is_none() && self.writing + 1 == self.count {
@@ -648,6 +627,27 @@ impl Planner {
         self.left = None;
         self.ahead.clear();
         let stretch = self.stretches[index].as_mut()?;
+        if stretch.begin.ticks == cut {
+            // It has not begun: a change on top of another.
+            let Stretch {
+                line,
+                mut from,
+                begin,
+                base_steps,
+                ..
+            } = *stretch;
+            self.count = index;
+            self.writing = self.writing.min(index);
+            if line.law.jerk().is_none() {
+                from.accel = Real::ZERO;
+            }
+            return Some(Split {
+                line: self.unshared(line),
+                from,
+                at: begin,
+                base_steps,
+            });
+        }
         let since = Real::of(cut - stretch.begin.ticks) - stretch.begin.part;
         let mut from = stretch.path().state_at(since);
         if stretch.line.law.jerk().is_none() {
@@ -705,63 +705,5 @@ impl Planner {
         if missing_ticks > 0 {
             steps.delay(missing_ticks.max(WORD_TICKS_MIN));
         }
-    }
-
-    /// Writes the segments of a command on all axes and returns how long it takes, ticks.
-    /// Every axis must have room for `SEGMENTS_PER_COMMAND`.
-    pub(crate) fn plan(&mut self, command: &Command, axes: &mut [Axis]) -> u64 {
-        let ticks = ticks_of(command).expect("checked when it was accepted");
-        let mut window_ticks = 0;
-        for run in runs_of(command) {
-            let axis = usize::from(run.axis.0);
-            let tail = self.tails[axis];
-            if tail.direction != Some(Direction::of(i64::from(run.steps))) {
-                let missing = axes[axis]
-                    .timing()
-                    .window_ticks()
-                    .saturating_sub(tail.low_ticks);
-                window_ticks = window_ticks.max(missing);
-            }
-        }
-        if window_ticks > 0 {
-            window_ticks = window_ticks.max(WORD_TICKS_MIN);
-        }
-        let total_ticks = window_ticks + ticks;
-        if total_ticks == 0 {
-            return 0;
-        }
-        for (index, axis) in axes.iter_mut().enumerate() {
-            let tail = &mut self.tails[index];
-            let run = runs_of(command).find(|run| usize::from(run.axis.0) == index);
-            let Some(run) = run else {
-                axis.push(Segment::Low { ticks: total_ticks });
-                tail.low_ticks = tail.low_ticks.saturating_add(total_ticks);
-                continue;
-            };
-            if window_ticks > 0 {
-                axis.push(Segment::Low {
-                    ticks: window_ticks,
-                });
-            }
-            let direction = Direction::of(i64::from(run.steps));
-            if tail.direction != Some(direction) {
-                axis.push(Segment::Turn { direction });
-                tail.direction = Some(direction);
-            }
-            axis.push(Segment::steady(
-                run.steps.unsigned_abs(),
-                run.interval_ticks,
-            ));
-            let own_ticks = run.ticks().expect("within the command's ticks");
-            tail.low_ticks = run.interval_ticks - axis.timing().high_of(run.interval_ticks);
-            // Less than a word cannot be played alone; a command's axes differ by whole µs.
-            if own_ticks < ticks {
-                axis.push(Segment::Low {
-                    ticks: ticks - own_ticks,
-                });
-                tail.low_ticks += ticks - own_ticks;
-            }
-        }
-        total_ticks
     }
 }

@@ -219,7 +219,8 @@ impl Steps {
         done
     }
 
-    fn write_axis(&mut self, index: usize, axis: &mut Axis, tail: &mut Tail) -> bool {
+    /// Writes as many segments of one axis as fit. Returns whether all are written.
+    pub(crate) fn write_axis(&mut self, index: usize, axis: &mut Axis, tail: &mut Tail) -> bool {
         if self.cursors[index].is_none() {
             return self.write_rest(axis, tail);
         }

@@ -522,7 +522,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     self.log(now, format_args!("lidar: no reading in time"))
                 }
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
-                MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded => {}
+                MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded { .. } => {}
                 MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),
                 MotionEvent::BarrierMissed { command } => self.miss_barrier(command, now),
                 MotionEvent::Started {

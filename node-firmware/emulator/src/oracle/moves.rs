@@ -52,7 +52,12 @@ impl Judge<'_> {
             let Some(step) = seen.next(until).filter(|step| step.sign == sign) else {
                 break;
             };
-            if before.is_some_and(|before| step.at - before != run.interval_ticks) {
+            if let Some(before) = before
+                && step.at - before != run.interval_ticks
+                && !self
+                    .holds
+                    .explain(before, step.at, run.interval_ticks, self.limits)
+            {
                 break;
             }
             before = Some(step.at);

@@ -350,6 +350,13 @@ impl Judge<'_> {
                 }
             }
         }
+        let stood = self.holds.take_found() as f64;
+        if let Some(anchor) = anchor.as_mut().filter(|_| stood > 0.0) {
+            // All axes start anew together behind a hold.
+            let skew = self.limits.skew_ticks as f64;
+            anchor.due.low += stood - skew;
+            anchor.due.high += stood + skew;
+        }
     }
 
     /// When a command on these axes (with their signs) may begin by the commands before it; and
@@ -424,6 +431,9 @@ impl Judge<'_> {
 
     /// Says so if a command does not begin within its window.
     pub(super) fn check_window(&mut self, window: Window, at: f64, number: u64) {
+        if at > window.high && self.holds.fills_gap(window.high, at, self.limits) {
+            return;
+        }
         if at < window.low {
             let ticks = window.low - at;
             self.wrong(

@@ -1,6 +1,8 @@
 //! A node in virtual time that is fed as a gateway would feed it.
 #![allow(dead_code, reason = "each test uses a part of it")]
 
+pub(crate) mod motor;
+
 use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle, record::Life};
 use keys::{
     BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, StopMode,

@@ -2,7 +2,7 @@
 //! taken back, and the path goes on from there under what has changed.
 
 use super::{
-    Hold, Motion, Phase, lines_behind,
+    Hold, Motion, Phase, Place, lines_behind,
     marks::{Mark, What},
 };
 use keys::Command;
@@ -20,25 +20,32 @@ impl<B: StepBackend> Motion<'_, B> {
     /// same line, under what has changed. Returns when the line ends now, `None` if no ramp or line
     /// is under way: then nothing has happened.
     pub(super) fn change_path(&mut self) -> Option<Begun> {
+        self.leave_path(false)
+    }
+
+    /// The same for a stop, which must not have to wait.
+    pub(super) fn stop_path(&mut self) -> Option<Begun> {
+        self.leave_path(true)
+    }
+
+    fn leave_path(&mut self, stops: bool) -> Option<Begun> {
         let Phase::Playing { .. } = self.phase else {
             return None;
         };
-        if self.is_drive_ending() {
-            return None;
-        }
         let axes = &mut self.backend.axes()[..self.axis_count];
         let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
-        if !on_path || axes.iter().any(Axis::has_ended) {
+        let room = self.planner.can_change(cut, stops);
+        if !on_path || !room || axes.iter().any(Axis::has_ended) {
             return None;
         }
         self.planner.rewind(axes, self.started_at.0);
         let split = self.planner.split(cut)?;
         let mut taken_back = 0_usize;
         let mut own = None;
-        while let Some(what) = self.marks.take_back(Ticks(cut)) {
+        while let Some(mark) = self.marks.take_back(Ticks(cut)) {
             taken_back += 1;
-            own = Some(what);
-            self.undo_steps(what);
+            own = Some(mark.what);
+            self.undo_steps(mark.what);
         }
         // The first of them is the line itself.
         self.ring.retract(taken_back.saturating_sub(1));
@@ -46,7 +53,7 @@ impl<B: StepBackend> Motion<'_, B> {
         Some(self.go_on(split, own))
     }
 
-    /// Goes on with a line that was left; `own` is its mark, a drive has none.
+    /// Goes on with a line that was left; `own` is its mark.
     pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
         let ring = &self.ring;
         let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some());
@@ -66,7 +73,7 @@ impl<B: StepBackend> Motion<'_, B> {
         let mut end = Ticks(begun.end_ticks);
         self.phase = Phase::Playing { timeline: end };
         if let Some(split) = begun.held {
-            self.hold = Hold::At(split);
+            self.hold = Hold::At(Place::Path(split));
             end = Ticks(u64::MAX);
         }
         if let Some(what) = what {
@@ -74,15 +81,16 @@ impl<B: StepBackend> Motion<'_, B> {
         }
     }
 
-    /// Slows down on the path and rests; [`MotionEvent::Held`](crate::MotionEvent::Held) tells when. What is no ramp and no
-    /// line has no path to slow down on: commands of that kind that are planned already are made.
+    /// Slows down on the path and rests; [`MotionEvent::Held`](crate::MotionEvent::Held) tells when.
+    /// What is no ramp and no line has no path to slow down on: raw moves and pauses stand still
+    /// behind what the hardware holds, and go on from there.
     pub fn hold(&mut self, now: Ticks) {
         if self.is_stopping() {
             return;
         }
         match self.hold {
             Hold::Slowing | Hold::At(_) => return,
-            Hold::Resuming(split) => self.hold = Hold::At(split),
+            Hold::Resuming(place) => self.hold = Hold::At(place),
             Hold::None => self.hold = Hold::Slowing,
         }
         self.planner.hold(true);
@@ -92,16 +100,24 @@ impl<B: StepBackend> Motion<'_, B> {
         }
     }
 
-    /// Changes the path as soon as that is possible: raw commands that are not yet encoded are made
-    /// first.
+    /// Changes the path, or raw moves that are held, as soon as that is possible: what the hardware
+    /// holds, and up to a few ms behind it, must be of one kind.
     fn change_soon(&mut self) {
-        self.change_due = self.change_path().is_none();
+        self.change_due = !self.change();
+    }
+
+    fn change(&mut self) -> bool {
+        if self.is_driving() {
+            self.change_drives();
+            return true;
+        }
+        self.change_path().is_some() || (self.is_held() && self.stand_still())
     }
 
     /// Makes a change that could not be made at once.
     pub(super) fn pass_change(&mut self) {
         let playing = matches!(self.phase, Phase::Playing { .. });
-        if self.change_due && (!playing || self.change_path().is_some()) {
+        if self.change_due && (!playing || self.change()) {
             self.change_due = false;
         }
     }
@@ -113,10 +129,12 @@ impl<B: StepBackend> Motion<'_, B> {
         }
         self.planner.hold(false);
         match self.hold {
-            Hold::At(split) => {
+            // Back to life where it rests.
+            Hold::At(place @ Place::Raw { .. }) => self.hold = Hold::Resuming(place),
+            Hold::At(place) => {
                 self.hold = Hold::None;
                 if self.change_path().is_none() {
-                    self.hold = Hold::Resuming(split);
+                    self.hold = Hold::Resuming(place);
                 }
             }
             Hold::Slowing => {
@@ -126,7 +144,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Hold::None | Hold::Resuming(_) => {}
         }
         if let Phase::Playing { .. } = self.phase
-            && self.drive.is_none()
+            && !self.is_driving()
         {
             self.give_laser_back();
         }

@@ -1,179 +1,34 @@
-//! Drives: one axis moved outside the queue, and changed in flight as one likes.
+//! Drives: axes moved outside the queue, each by itself, and changed in flight as one likes.
 //!
 //! A drive has a target and a ramp. Another call for the same axis changes either: the axis goes on
 //! from its present speed. Where the new target lies behind it, or nearer than it can stop, it slows
-//! down by the new ramp, turns, and comes back.
+//! down by the new ramp, turns, and comes back. Other axes are driven meanwhile as they are: each
+//! begins, changes and ends alone, on the timeline that all of them share.
 
-use super::{CommandError, Hold, Motion, MotionEvent, Phase};
+use super::{
+    CHANGE_AGAIN_TICKS, CommandError, Hold, Motion, MotionEvent, Phase,
+    course::{Course, DriveError, Target},
+    rest_from,
+};
 use crate::{
-    Axis, Direction, StepBackend, Ticks,
-    law::{Law, speed_from_hz, speed_from_interval, speed_from_mhz},
-    limits::{CHANNELS, TICKS_PER_US},
+    Direction, StepBackend, Ticks,
+    limits::CHANNELS,
     lookahead::Line,
-    path::Path,
-    planner::{Begun, Split},
+    planner::{Left, Planner, Split, WAY_STEPS_MAX},
     real::Real,
 };
-use core::iter;
-use keys::{
-    AxisId, StopMode,
-    command::{Ramp, RampShape},
-};
-
-/// Where a drive goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
-    /// So many steps from its present target, or from where it rests.
-    By(i64),
-    /// To this position.
-    To(i64),
-    /// On and on.
-    Forever(Direction),
-}
-
-/// How a drive moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Course {
-    speed: Real,
-    accel_hz_per_s: u32,
-    shape: RampShape,
-    smooth: Option<Smooth>,
-}
-
-/// A rise by the way instead of by an acceleration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Smooth {
-    /// First speed, steps per tick.
-    start: Real,
-    /// Over how many steps.
-    steps: u32,
-}
-
-impl Course {
-    /// Speeds up from `start_hz` to `speed_hz` over `ramp_steps` steps (from 2) by ESP-IDF's
-    /// smoothstep, and slows down likewise: see [`smooth`](crate::smooth). A shorter move takes the
-    /// first half of its way of the rise, and back.
-    pub fn smooth(start_hz: u32, speed_hz: u32, ramp_steps: u32) -> Self {
-        let smooth = Smooth {
-            start: speed_from_hz(start_hz),
-            steps: ramp_steps,
-        };
-        Self {
-            smooth: Some(smooth),
-            ..Self::hz(speed_hz, 0)
-        }
-    }
-
-    /// A trapezoid up to `speed_hz` by `accel_hz_per_s` (steps/s²).
-    pub fn hz(speed_hz: u32, accel_hz_per_s: u32) -> Self {
-        Self::of(speed_from_hz(speed_hz), accel_hz_per_s)
-    }
-
-    /// The same with the speed in mHz.
-    pub fn mhz(speed_mhz: u64, accel_hz_per_s: u32) -> Self {
-        Self::of(speed_from_mhz(speed_mhz), accel_hz_per_s)
-    }
-
-    /// The same with the time from step to step, µs.
-    pub fn interval_us(interval_us: u32, accel_hz_per_s: u32) -> Self {
-        Self::interval_ticks(u64::from(interval_us) * TICKS_PER_US, accel_hz_per_s)
-    }
-
-    /// The same with the time from step to step, ticks; 0 is refused when it is used.
-    pub fn interval_ticks(interval_ticks: u64, accel_hz_per_s: u32) -> Self {
-        let speed = match interval_ticks {
-            0 => Real::ZERO,
-            ticks => speed_from_interval(ticks),
-        };
-        Self::of(speed, accel_hz_per_s)
-    }
-
-    fn of(speed: Real, accel_hz_per_s: u32) -> Self {
-        Self {
-            speed,
-            accel_hz_per_s,
-            shape: RampShape::Trapezoid {
-                linear_steps: 0,
-                jump_steps: 0,
-            },
-            smooth: None,
-        }
-    }
-
-    /// Speeds up and slows down in this shape.
-    #[must_use]
-    pub fn shaped(self, shape: RampShape) -> Self {
-        Self { shape, ..self }
-    }
-
-    fn law(&self) -> Law {
-        match self.smooth {
-            Some(smooth) => Law::smooth(smooth.start, self.speed, smooth.steps),
-            None => Law::new(self.accel_hz_per_s, self.shape),
-        }
-    }
-
-    fn check(&self, interval_ticks_min: u64) -> Result<(), CommandError> {
-        let no_jerk = matches!(self.shape, RampShape::Jerk { jerk_hz_per_s2: 0 });
-        let no_rise = match self.smooth {
-            Some(Smooth { start, steps }) => start.is_none() || start >= self.speed || steps < 2,
-            None => self.accel_hz_per_s == 0 || no_jerk,
-        };
-        if self.speed.is_none() || no_rise {
-            return Err(CommandError::Nothing);
-        }
-        if self.speed * Real::of(interval_ticks_min) > Real::of(1) {
-            return Err(CommandError::too_fast(interval_ticks_min));
-        }
-        Ok(())
-    }
-}
-
-impl From<Ramp> for Course {
-    fn from(ramp: Ramp) -> Self {
-        Self::hz(ramp.speed_hz, ramp.accel_hz_per_s).shaped(ramp.shape)
-    }
-}
-
-/// Why an axis cannot be driven.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DriveError {
-    /// The queue, or another axis, moves; or motion is held or stopping.
-    Busy,
-    /// The axis or the ramp is none.
-    Command(CommandError),
-}
-
-impl core::fmt::Display for DriveError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Busy => write!(f, "something else moves"),
-            Self::Command(error) => error.fmt(f),
-        }
-    }
-}
-
-impl core::error::Error for DriveError {}
-
-impl From<CommandError> for DriveError {
-    fn from(error: CommandError) -> Self {
-        Self::Command(error)
-    }
-}
+use keys::{AxisId, StopMode, command::RampShape};
 
 /// One axis that is driven.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
-    pub(super) axis: AxisId,
-    /// Where it goes next, once it rests.
-    pub(super) next: Option<Leg>,
-    /// It is to leave its present leg for that, or for rest, as soon as possible.
-    pub(super) due: bool,
-    /// It slows down to rest, wherever that is: its present way leads nowhere.
-    pub(super) ending: bool,
+    /// Where it goes; `None`: it comes to rest.
+    leg: Option<Leg>,
+    /// Its way does not lead there yet.
+    due: bool,
 }
 
-/// A way from rest.
+/// A way to a place.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leg {
     /// Target, steps since boot.
@@ -181,13 +36,28 @@ pub(super) struct Leg {
     how: Course,
 }
 
-/// Longest way of one leg, steps: 360,000 years at 200 kHz.
-const WAY_STEPS_MAX: i128 = 1 << 61;
+impl Leg {
+    /// Steps from a place, no more than a way may have.
+    fn from(&self, from_steps: i64) -> i64 {
+        let way = i128::from(self.to_steps) - i128::from(from_steps);
+        way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64
+    }
+
+    fn line(&self, axis: usize, way: i64) -> Line {
+        let mut steps = [0; CHANNELS];
+        steps[axis] = way;
+        Line {
+            joins: false,
+            ..Line::by_law(steps, self.how.speed, self.how.law())
+        }
+    }
+}
 
 impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
-    /// and target, without a stop where physics allows. [`MotionEvent::DriveEnded`] tells that it
-    /// rests. The queue waits meanwhile. Soft limits hold it inside: it comes to rest on them.
+    /// and target, without a stop where physics allows. Several axes can be driven at a time, each
+    /// by itself. [`MotionEvent::DriveEnded`] tells that it rests. The queue waits meanwhile. Soft
+    /// limits hold it inside: it comes to rest on them.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
@@ -224,219 +94,302 @@ impl<B: StepBackend> Motion<'_, B> {
         let index = usize::from(axis.0);
         how.check(self.timing[index].interval_ticks_min())
             .map_err(DriveError::Command)?;
-        let free = match self.drive {
-            Some(drive) => drive.axis == axis,
-            None => self.phase == Phase::Rest && self.marks.front().is_none(),
-        };
+        let free = self.is_driving() || (self.phase == Phase::Rest && self.marks.front().is_none());
         if !free || !matches!(self.hold, Hold::None) || self.is_stopping() {
             return Err(DriveError::Busy);
         }
-        let next = Some(Leg { to_steps, how });
-        let due = self.drive.is_some();
-        let ending = self.drive.is_some_and(|drive| drive.ending);
-        self.drive = Some(Drive {
-            axis,
-            next,
-            due,
-            ending,
+        self.drives[index] = Some(Drive {
+            leg: Some(Leg { to_steps, how }),
+            due: true,
         });
-        self.change_drive();
+        self.pass_drives();
         Ok(())
     }
 
-    /// Leaves the present leg, if that is due and possible.
-    pub(super) fn change_drive(&mut self) {
-        let Some(mut drive) = self.drive.filter(|drive| drive.due) else {
-            return;
-        };
-        let index = usize::from(drive.axis.0);
-        if let Phase::Playing { .. } = self.phase {
-            let Some(split) = self.leave_drive() else {
-                return;
-            };
-            match drive.next.take() {
-                Some(leg) => drive.next = self.turn_drive(index, split, leg),
-                None => {
-                    let law = split.line.law;
-                    self.rest_drive(index, split, law);
-                }
-            }
-            // Both say whether it comes to rest.
-            drive.ending = self.drive.is_some_and(|drive| drive.ending);
-        }
-        drive.due = false;
-        self.drive = Some(drive);
-    }
-
-    /// Ends a drive: at once, or by its own ramp. Nothing happens without one, or while an axis is
-    /// homed: only a stop ends that.
+    /// Ends all drives: at once, or each by its own ramp. Nothing happens without one, or while an
+    /// axis is homed: only a stop ends that.
     pub fn end_drive(&mut self, mode: StopMode) {
         if self.homing.is_none() {
             self.leave_or_halt(mode);
         }
     }
 
+    /// Ends the drive of one axis by its own ramp; others go on.
+    pub fn end_drive_of(&mut self, axis: AxisId) {
+        if self.homing.is_none()
+            && let Some(Some(drive)) = self.drives.get_mut(usize::from(axis.0))
+        {
+            drive.leg = None;
+            drive.due = true;
+            self.settle_drives();
+            self.pass_drives();
+        }
+    }
+
     pub(super) fn leave_or_halt(&mut self, mode: StopMode) {
-        let Some(drive) = self.drive.as_mut() else {
+        if !self.is_driving() {
             return;
-        };
-        drive.next = None;
-        drive.due = false;
-        let axis = drive.axis;
-        let index = usize::from(axis.0);
-        let Phase::Playing { .. } = self.phase else {
-            // What was left of a way that was held is over.
-            self.planned_steps[index] = self.backend.played_steps(axis);
-            return;
-        };
-        match mode {
-            StopMode::Halt => {
+        }
+        for drive in self.drives.iter_mut().flatten() {
+            drive.leg = None;
+            drive.due = mode == StopMode::Decelerate;
+        }
+        self.settle_drives();
+        match (self.phase, mode) {
+            (Phase::Playing { .. }, StopMode::Halt) => {
                 self.quiet_at = self.backend.halt(self.now);
                 self.planner.forget();
-                self.planned_steps[index] = self.backend.played_steps(axis);
                 self.phase = Phase::Playing { timeline: self.now };
+                for axis in 0..self.axis_count {
+                    self.planned_steps[axis] = self.backend.played_steps(AxisId(axis as u8));
+                }
             }
-            StopMode::Decelerate => {
-                drive.due = true;
-                self.change_drive();
+            (Phase::Playing { .. }, StopMode::Decelerate) => self.pass_drives(),
+            _ => {}
+        }
+    }
+
+    /// What was left of a way that rests is over.
+    fn settle_drives(&mut self) {
+        if self.phase == Phase::Rest {
+            for index in 0..self.axis_count {
+                if let Some(drive) = self.drives[index]
+                    .as_mut()
+                    .filter(|drive| drive.leg.is_none())
+                {
+                    drive.due = false;
+                    self.planned_steps[index] = self.backend.played_steps(AxisId(index as u8));
+                }
             }
         }
     }
 
-    /// Returns whether a drive is under way.
+    /// Returns whether an axis is driven.
     pub fn is_driving(&self) -> bool {
-        self.drive.is_some()
+        self.drives.iter().any(Option::is_some)
     }
 
-    /// Returns the way from here to rest if the ramp or line under way slowed down now, steps of
-    /// its longest axis; 0 if none is under way.
+    /// Returns whether this axis is driven.
+    pub fn is_driven(&self, axis: AxisId) -> bool {
+        let drive = self.drives.get(usize::from(axis.0));
+        drive.is_some_and(Option::is_some)
+    }
+
+    /// Returns the way from here to rest if what is under way slowed down now: steps of the longest
+    /// axis of the ramp or line, or of the drive that needs most; 0 if none is under way.
     pub fn steps_to_stop(&mut self) -> u64 {
+        let (started_at, now) = (self.started_at.0, self.now.0);
         let axes = &self.backend.axes()[..self.axis_count];
-        let way = self
-            .planner
-            .way_to_stop(axes, self.started_at.0, self.now.0);
-        u64::try_from(way.rounded()).unwrap_or(0)
+        let path = self.planner.way_to_stop(axes, started_at, now);
+        let ways = axes.iter().enumerate().map(|(index, axis)| {
+            let way = self.planner.way_to_stop_of(index, axis, started_at, now);
+            way.rounded()
+        });
+        let most = ways.max().unwrap_or(0).max(path.rounded());
+        u64::try_from(most).unwrap_or(0)
     }
 
-    /// Tells that a drive rests.
-    pub(super) fn pass_drive(&mut self) -> Option<MotionEvent> {
-        let ended = self.drive.is_some_and(|drive| drive.next.is_none());
-        if !ended || self.phase != Phase::Rest {
-            return None;
+    /// All drives come to rest; nothing of them goes on.
+    pub(super) fn rest_drives(&mut self) {
+        for drive in self.drives.iter_mut().flatten() {
+            drive.leg = None;
+            drive.due = true;
         }
-        self.drive = None;
-        (!self.pass_homing_drive()).then_some(MotionEvent::DriveEnded)
+        self.pass_drives();
     }
 
-    /// Begins the next leg of a drive from rest, at `begin`.
-    pub(super) fn begin_leg(&mut self, axis: AxisId, leg: Leg, begin: Ticks) {
-        let index = usize::from(axis.0);
-        let way = i128::from(leg.to_steps) - i128::from(self.planned_steps[index]);
-        let way = way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64;
-        self.phase = Phase::Playing { timeline: begin };
+    /// Hold, resumption or another speed: every way is made anew.
+    pub(super) fn change_drives(&mut self) {
+        for drive in self.drives.iter_mut().flatten() {
+            drive.due |= drive.leg.is_some();
+        }
+        self.pass_drives();
+    }
+
+    /// Leads the ways of all axes where they are to go, as far as that can be done now.
+    pub(super) fn pass_drives(&mut self) {
+        if !matches!(self.phase, Phase::Playing { .. } | Phase::Decelerating) {
+            return;
+        }
+        for index in 0..self.axis_count {
+            if let Some(drive) = self.drives[index].filter(|drive| drive.due) {
+                self.change_way(index, drive);
+            }
+        }
+        self.note_ways();
+    }
+
+    /// The timeline ends with the last way.
+    fn note_ways(&mut self) {
+        if let Phase::Playing { .. } = self.phase
+            && let Some(end) = self.planner.ways_end()
+        {
+            self.phase = Phase::Playing {
+                timeline: Ticks(end),
+            };
+        }
+    }
+
+    fn change_way(&mut self, index: usize, drive: Drive) {
+        let started_at = self.started_at.0;
+        let axes = &mut self.backend.axes()[..self.axis_count];
+        let axis = &mut axes[index];
+        if !self.planner.can_change_way(index, axis, started_at) {
+            return;
+        }
+        self.planner.set_share(self.share);
+        let leg = drive.leg.filter(|_| !self.is_held());
+        let axes = &mut self.backend.axes()[..self.axis_count];
+        let left = self.planner.leave_way(index, &mut axes[index], started_at);
+        match (left, leg) {
+            (Left::Resting { at, base_steps }, leg) => {
+                if let Some(base_steps) = base_steps {
+                    self.planned_steps[index] = base_steps;
+                }
+                if let Some(leg) = leg {
+                    self.begin_leg(index, leg, at);
+                }
+            }
+            (Left::Moving(split), None) => {
+                self.slow_down(index, split);
+            }
+            (Left::Moving(split), Some(leg)) => self.turn_to(index, split, leg),
+        }
+        if let Some(drive) = self.drives[index].as_mut() {
+            // What is held is due again when it goes on.
+            drive.due = false;
+        }
+    }
+
+    /// Goes on with another leg; turns first if it has to.
+    fn turn_to(&mut self, index: usize, mut split: Split, leg: Leg) {
+        let law = leg.how.law().after(&split.line.law);
+        let sign = split.line.steps[index].signum();
+        let way = i128::from(sign) * i128::from(leg.from(split.base_steps[index]));
+        // Rounding in the last bits is no lack of way.
+        let least = Planner::least_way(&split, &law) - Real::of(1).shifted(-20);
+        let way = way as i64;
+        split.line.law = law;
+        if Real::of_signed(way) < least {
+            let end = self.slow_down(index, split);
+            self.begin_leg(index, leg, end);
+            return;
+        }
+        split.line.major_steps = way.unsigned_abs();
+        split.line.steps[index] = way * sign;
+        split.line.speed_max = leg.how.speed;
+        let axes = &self.backend.axes()[..self.axis_count];
+        self.planner.go_on_way(index, split, false, axes);
+        self.planned_steps[index] = split.base_steps[index] + way * sign;
+    }
+
+    /// Comes to rest, wherever that is: on the step whose edge was passed last. Returns when.
+    fn slow_down(&mut self, index: usize, split: Split) -> u64 {
+        let axes = &self.backend.axes()[..self.axis_count];
+        let (end, made) = self.planner.go_on_way(index, split, true, axes);
+        self.planned_steps[index] = split.base_steps[index] + made;
+        end
+    }
+
+    /// Begins a leg from rest at `begin`.
+    fn begin_leg(&mut self, index: usize, leg: Leg, begin: u64) {
+        let base_steps = self.planned_steps[index];
+        let way = leg.from(base_steps);
         if way == 0 {
             return;
         }
-        let mut steps = [0; CHANNELS];
-        steps[index] = way;
-        let how = leg.how;
-        let line = Line {
-            joins: false,
-            ..Line::by_law(steps, how.speed, how.law())
-        };
-        let jump_steps = match how.shape {
+        let jump_steps = match leg.how.shape {
             RampShape::Trapezoid { jump_steps, .. } => jump_steps,
             RampShape::Jerk { .. } => 0,
         };
         let axes = &self.backend.axes()[..self.axis_count];
-        let base_steps = self.planned_steps;
-        let begun = self
-            .planner
-            .begin(line, jump_steps, iter::empty(), begin.0, base_steps, axes);
-        self.planned_steps[index] += way;
-        self.note_path(&begun, None);
+        let line = leg.line(index, way);
+        self.planner
+            .begin_way(index, line, jump_steps, begin, base_steps, axes);
+        self.planned_steps[index] = base_steps + way;
+    }
+
+    /// Writes as much of the ways as fits. From rest it begins with those that are due; returns when
+    /// the channels are to be started for that.
+    pub(super) fn plan_drives(&mut self, lead_ticks: u64) -> Option<Ticks> {
+        let mut starts_at = None;
+        self.pass_drives();
+        if self.phase == Phase::Rest && self.begins_drive() {
+            if !self.are_enabled(crate::io::enable::AxisSet::QUEUE, lead_ticks) {
+                return None;
+            }
+            let at = self.now.max(self.quiet_at);
+            let begin = at.plus(lead_ticks);
+            self.planner.set_share(self.share);
+            self.planner.begin_ways(begin.0);
+            for index in 0..self.axis_count {
+                if let Some(drive) = self.drives[index].as_mut() {
+                    drive.due = false;
+                    if let Some(leg) = drive.leg {
+                        self.begin_leg(index, leg, begin.0);
+                    }
+                }
+            }
+            let timeline = Ticks(self.planner.ways_end()?);
+            self.phase = Phase::Playing { timeline };
+            starts_at = Some(at);
+        }
+        if self.phase != Phase::Rest
+            && let Some(end) = self.planner.ways_end()
+        {
+            let started_at = self.started_at.0;
+            let axes = &mut self.backend.axes()[..self.axis_count];
+            if starts_at.is_none() {
+                self.planner.retire_ways(axes, started_at);
+            }
+            self.planner.write_ways(axes, end, started_at);
+        }
+        starts_at
+    }
+
+    /// Tells that a drive rests.
+    pub(super) fn pass_drive(&mut self) -> Option<MotionEvent> {
+        let rests = self.phase == Phase::Rest;
+        // The last one ends when the channels rest.
+        let others = self.drives.iter().flatten().count() > 1;
+        let over = |index: usize| {
+            self.planner
+                .way_end(index)
+                .is_none_or(|end| rest_from(Ticks(end)) <= self.now)
+        };
+        let ended = (0..self.axis_count).find(|&index| {
+            self.drives[index].is_some_and(|drive| !drive.due && (rests || (others && over(index))))
+        });
+        let index = ended?;
+        self.drives[index] = None;
+        let axis = AxisId(index as u8);
+        (!self.pass_homing_drive()).then_some(MotionEvent::DriveEnded { axis })
+    }
+
+    /// Returns whether a drive is to begin from rest.
+    pub(super) fn begins_drive(&self) -> bool {
+        let goes = |drive: &Drive| drive.due && drive.leg.is_some();
+        matches!(self.hold, Hold::None) && self.drives.iter().flatten().any(goes)
+    }
+
+    /// Returns when the next drive of several rests.
+    pub(super) fn drives_timeout(&self) -> Option<Ticks> {
+        let waits = self.drives.iter().flatten().any(|drive| drive.due);
+        if waits && self.phase != Phase::Rest {
+            return Some(self.now.plus(CHANGE_AGAIN_TICKS));
+        }
+        if self.drives.iter().flatten().count() < 2 {
+            return None;
+        }
+        let ends = (0..self.axis_count).filter(|&index| self.drives[index].is_some());
+        let ends = ends.filter_map(|index| self.planner.way_end(index));
+        ends.map(|end| rest_from(Ticks(end)).max(self.now.plus(1)))
+            .min()
     }
 
     /// Where an axis will be, steps since boot.
     fn target_steps(&self, axis: usize) -> i64 {
-        let next = self.drive.and_then(|drive| drive.next);
-        next.map_or(self.planned_steps[axis], |leg| leg.to_steps)
-    }
-
-    /// Takes the leg under way out of the plan.
-    fn leave_drive(&mut self) -> Option<Split> {
-        self.drive?;
-        let axes = &mut self.backend.axes()[..self.axis_count];
-        let (cut, on_path) = self.planner.cut_ticks(axes, self.started_at.0);
-        if !on_path || axes.iter().any(Axis::has_ended) {
-            return None;
-        }
-        self.planner.rewind(axes, self.started_at.0);
-        self.planner.split(cut)
-    }
-
-    /// Goes on with another leg. Returns it if it has to turn first.
-    fn turn_drive(&mut self, axis: usize, mut split: Split, leg: Leg) -> Option<Leg> {
-        let how = leg.how;
-        let law = how.law().after(&split.line.law);
-        let sign = split.line.steps[axis].signum();
-        let way = i128::from(leg.to_steps) - i128::from(split.base_steps[axis]);
-        let way = (i128::from(sign) * way).clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64;
-        let mut to_rest = Path::at(split.from);
-        to_rest.come_to_rest(&law);
-        // Rounding in the last bits is no lack of way.
-        let least = to_rest.end_steps() - Real::of(1).shifted(-20);
-        if Real::of_signed(way) < least {
-            self.rest_drive(axis, split, law);
-            return Some(leg);
-        }
-        split.line.major_steps = way.unsigned_abs();
-        split.line.steps[axis] = way * sign;
-        split.line.speed_max = how.speed;
-        split.line.law = law;
-        self.resume_drive(axis, split);
-        None
-    }
-
-    /// Slows down to rest, wherever that is: on the step whose edge was passed last.
-    fn rest_drive(&mut self, axis: usize, mut split: Split, law: Law) {
-        let sign = split.line.steps[axis].signum();
-        split.line.major_steps = WAY_STEPS_MAX as u64;
-        split.line.steps[axis] = sign * WAY_STEPS_MAX as i64;
-        split.line.law = law;
-        let base_steps = split.base_steps[axis];
-        let axes = &self.backend.axes()[..self.axis_count];
-        self.planner.hold(true);
-        let begun = self.planner.go_on(split, iter::empty(), axes);
-        self.planner.hold(self.is_held());
-        self.set_ending(true);
-        let made = begun.held.map_or(0, |held| held.from.place.rounded());
-        self.planned_steps[axis] = base_steps + sign * made;
-        self.note_path(
-            &Begun {
-                held: None,
-                ..begun
-            },
-            None,
-        );
-    }
-
-    fn set_ending(&mut self, ending: bool) {
-        if let Some(drive) = self.drive.as_mut() {
-            drive.ending = ending;
-        }
-    }
-
-    /// Returns whether a drive slows down to rest already.
-    pub(super) fn is_drive_ending(&self) -> bool {
-        self.drive.is_some_and(|drive| drive.ending)
-    }
-
-    fn resume_drive(&mut self, axis: usize, split: Split) {
-        self.planned_steps[axis] = split.base_steps[axis] + split.line.steps[axis];
-        self.set_ending(false);
-        let axes = &self.backend.axes()[..self.axis_count];
-        let begun = self.planner.go_on(split, iter::empty(), axes);
-        self.note_path(&begun, None);
+        let leg = self.drives[axis].and_then(|drive| drive.leg);
+        leg.map_or(self.planned_steps[axis], |leg| leg.to_steps)
     }
 }

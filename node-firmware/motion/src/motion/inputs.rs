@@ -197,7 +197,7 @@ impl<B: StepBackend> Motion<'_, B> {
     pub(super) fn is_at_head(&self) -> bool {
         self.phase == Phase::Rest
             && self.marks.front().is_none()
-            && self.drive.is_none()
+            && !self.is_driving()
             && !self.station
             && matches!(self.hold, Hold::None)
     }

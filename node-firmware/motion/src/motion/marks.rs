@@ -35,6 +35,14 @@ pub(super) enum What {
 }
 
 impl What {
+    /// Returns the steps of a raw move; none of all else.
+    pub(super) const fn runs(&self) -> [Option<Run>; 2] {
+        match self {
+            Self::Moves(runs) => *runs,
+            _ => [None, None],
+        }
+    }
+
     /// Returns whether somebody is told when its time has come.
     pub(super) const fn tells(&self) -> bool {
         matches!(self, Self::Laser { .. } | Self::Lidar | Self::StatusCd)
@@ -66,7 +74,7 @@ impl Marks {
         (self.count > 0).then(|| &self.marks[self.first])
     }
 
-    pub(super) fn iter(&self) -> impl Iterator<Item = &Mark> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Mark> + Clone {
         (0..self.count).map(|index| &self.marks[(self.first + index) % MARKS_MAX])
     }
 
@@ -88,12 +96,12 @@ impl Marks {
     }
 
     /// Takes back the latest mark if it ends later than this.
-    pub(super) fn take_back(&mut self, at: Ticks) -> Option<What> {
+    pub(super) fn take_back(&mut self, at: Ticks) -> Option<Mark> {
         let last = (self.first + self.count.checked_sub(1)?) % MARKS_MAX;
         let mark = self.marks[last];
         (mark.end > at).then(|| {
             self.count -= 1;
-            mark.what
+            mark
         })
     }
 

@@ -83,9 +83,11 @@ impl<B: StepBackend> Motion<'_, B> {
     /// they are not, [`Motion::poll`] goes on when they are.
     pub(super) fn are_enabled(&mut self, axes: AxisSet, lead_ticks: u64) -> bool {
         let now = self.now;
+        self.waits_enable = true;
         match self.enables.wants_motion(axes, now) {
             Start::At(at) if at.0 <= now.0 + lead_ticks => {
                 self.enabled_at = None;
+                self.waits_enable = false;
                 true
             }
             Start::At(at) => {

@@ -1,0 +1,88 @@
+//! Holds of raw moves: the timeline stands still, for all axes equally long.
+//!
+//! Whoever holds says when, not where in the pulses that takes effect: within what the hardware
+//! holds. So the first interval that is longer tells for how long the timeline stood, and every
+//! other one must agree.
+
+use super::Limits;
+use crate::record::Held;
+
+/// One hold.
+#[derive(Clone, Copy, Debug)]
+struct Stand {
+    from: u64,
+    until: u64,
+    /// For how long the timeline stood, ticks, once an interval has told.
+    ticks: Option<u64>,
+    /// It is part of the present command's time already.
+    counted: bool,
+}
+
+/// The holds of one life.
+#[derive(Clone, Debug)]
+pub(super) struct Holds(Vec<Stand>);
+
+impl Holds {
+    pub(super) fn new(holds: &[Held]) -> Self {
+        let stand = |held: &Held| Stand {
+            from: held.from_ticks,
+            until: held.until_ticks.unwrap_or(u64::MAX),
+            ticks: None,
+            counted: false,
+        };
+        Self(holds.iter().map(stand).collect())
+    }
+
+    /// Returns whether two edges are so far apart because the timeline stood between them, rather
+    /// than `interval` ticks.
+    pub(super) fn explain(&mut self, before: u64, at: u64, interval: u64, limits: &Limits) -> bool {
+        let Some(mut more) = (at - before).checked_sub(interval) else {
+            return false;
+        };
+        let slack = 2 * limits.stop_begin_ticks;
+        let between = |stand: &&mut Stand| before < stand.from + slack && stand.until <= at;
+        let mut open = None;
+        let mut any = false;
+        for stand in self.0.iter_mut().filter(between) {
+            match stand.ticks {
+                Some(ticks) => more = more.saturating_sub(ticks),
+                None => open = Some(stand),
+            }
+            any = true;
+        }
+        match open {
+            // It stood from somewhere within the slack until it was told to go on, and the lead-in.
+            Some(stand) => {
+                let least = (stand.until - stand.from).saturating_sub(slack);
+                stand.ticks = Some(more);
+                more >= least && more <= stand.until - stand.from + slack
+            }
+            None => any && more <= limits.skew_ticks,
+        }
+    }
+
+    /// Returns by how much the end of a command is later: what was found since the last call.
+    pub(super) fn take_found(&mut self) -> u64 {
+        let found = self.0.iter_mut().filter(|stand| !stand.counted);
+        let found = found.filter_map(|stand| {
+            stand.counted = stand.ticks.is_some();
+            stand.ticks
+        });
+        found.sum()
+    }
+
+    /// A command that is due at `due` begins only at `at`: returns whether a hold lies between that
+    /// nothing else has shown.
+    pub(super) fn fills_gap(&mut self, due: f64, at: f64, limits: &Limits) -> bool {
+        let slack = 2 * limits.stop_begin_ticks;
+        let mut stands = self.0.iter_mut();
+        let stand = stands.find(|stand| {
+            let in_gap = stand.from as f64 <= due + slack as f64 && stand.until as f64 <= at;
+            in_gap && !stand.counted
+        });
+        stand.is_some_and(|stand| {
+            stand.counted = true;
+            true
+        })
+    }
+}

@@ -1,0 +1,151 @@
+//! What a drive is asked for: where to, and how.
+
+use super::CommandError;
+use crate::{
+    Direction,
+    law::{Law, speed_from_hz, speed_from_interval, speed_from_mhz},
+    limits::TICKS_PER_US,
+    real::Real,
+};
+use keys::command::{Ramp, RampShape};
+
+/// Where a drive goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// So many steps from its present target, or from where it rests.
+    By(i64),
+    /// To this position.
+    To(i64),
+    /// On and on.
+    Forever(Direction),
+}
+
+/// How a drive moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Course {
+    pub(super) speed: Real,
+    accel_hz_per_s: u32,
+    pub(super) shape: RampShape,
+    smooth: Option<Smooth>,
+}
+
+/// A rise by the way instead of by an acceleration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Smooth {
+    /// First speed, steps per tick.
+    start: Real,
+    /// Over how many steps.
+    steps: u32,
+}
+
+impl Course {
+    /// Speeds up from `start_hz` to `speed_hz` over `ramp_steps` steps (from 2) by ESP-IDF's
+    /// smoothstep, and slows down likewise: see [`smooth`](crate::smooth). A shorter move takes the
+    /// first half of its way of the rise, and back.
+    pub fn smooth(start_hz: u32, speed_hz: u32, ramp_steps: u32) -> Self {
+        let smooth = Smooth {
+            start: speed_from_hz(start_hz),
+            steps: ramp_steps,
+        };
+        Self {
+            smooth: Some(smooth),
+            ..Self::hz(speed_hz, 0)
+        }
+    }
+
+    /// A trapezoid up to `speed_hz` by `accel_hz_per_s` (steps/s²).
+    pub fn hz(speed_hz: u32, accel_hz_per_s: u32) -> Self {
+        Self::of(speed_from_hz(speed_hz), accel_hz_per_s)
+    }
+
+    /// The same with the speed in mHz.
+    pub fn mhz(speed_mhz: u64, accel_hz_per_s: u32) -> Self {
+        Self::of(speed_from_mhz(speed_mhz), accel_hz_per_s)
+    }
+
+    /// The same with the time from step to step, µs.
+    pub fn interval_us(interval_us: u32, accel_hz_per_s: u32) -> Self {
+        Self::interval_ticks(u64::from(interval_us) * TICKS_PER_US, accel_hz_per_s)
+    }
+
+    /// The same with the time from step to step, ticks; 0 is refused when it is used.
+    pub fn interval_ticks(interval_ticks: u64, accel_hz_per_s: u32) -> Self {
+        let speed = match interval_ticks {
+            0 => Real::ZERO,
+            ticks => speed_from_interval(ticks),
+        };
+        Self::of(speed, accel_hz_per_s)
+    }
+
+    fn of(speed: Real, accel_hz_per_s: u32) -> Self {
+        Self {
+            speed,
+            accel_hz_per_s,
+            shape: RampShape::Trapezoid {
+                linear_steps: 0,
+                jump_steps: 0,
+            },
+            smooth: None,
+        }
+    }
+
+    /// Speeds up and slows down in this shape.
+    #[must_use]
+    pub fn shaped(self, shape: RampShape) -> Self {
+        Self { shape, ..self }
+    }
+
+    pub(super) fn law(&self) -> Law {
+        match self.smooth {
+            Some(smooth) => Law::smooth(smooth.start, self.speed, smooth.steps),
+            None => Law::new(self.accel_hz_per_s, self.shape),
+        }
+    }
+
+    pub(super) fn check(&self, interval_ticks_min: u64) -> Result<(), CommandError> {
+        let no_jerk = matches!(self.shape, RampShape::Jerk { jerk_hz_per_s2: 0 });
+        let no_rise = match self.smooth {
+            Some(Smooth { start, steps }) => start.is_none() || start >= self.speed || steps < 2,
+            None => self.accel_hz_per_s == 0 || no_jerk,
+        };
+        if self.speed.is_none() || no_rise {
+            return Err(CommandError::Nothing);
+        }
+        if self.speed * Real::of(interval_ticks_min) > Real::of(1) {
+            return Err(CommandError::too_fast(interval_ticks_min));
+        }
+        Ok(())
+    }
+}
+
+impl From<Ramp> for Course {
+    fn from(ramp: Ramp) -> Self {
+        Self::hz(ramp.speed_hz, ramp.accel_hz_per_s).shaped(ramp.shape)
+    }
+}
+
+/// Why an axis cannot be driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DriveError {
+    /// The queue, or another axis, moves; or motion is held or stopping.
+    Busy,
+    /// The axis or the ramp is none.
+    Command(CommandError),
+}
+
+impl core::fmt::Display for DriveError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Busy => write!(f, "something else moves"),
+            Self::Command(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for DriveError {}
+
+impl From<CommandError> for DriveError {
+    fn from(error: CommandError) -> Self {
+        Self::Command(error)
+    }
+}

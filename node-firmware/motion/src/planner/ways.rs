@@ -1,0 +1,413 @@
+//! Ways of axes that are driven each by itself: no line joins them, and each is changed alone.
+//!
+//! ```text
+//!   axis 0  ─┤way──────┊changed──────────────┤rest───────────
+//!   axis 1  ─┤rest─────────┤way────┤rest─┤way back────────┤──
+//! ```
+//!
+//! An axis that rests plays on as long as another one is under way, so that it can begin within 2 ms
+//! too, and on a timeline that never drifts. What is changed on one axis is taken back and written
+//! anew on that axis only.
+
+use super::{
+    CUT_MARGIN_TICKS, Goal, Made, Planner, Split, Stretch, Tail, WAY_STEPS_MAX, timing_of,
+};
+use crate::{
+    axis::Axis,
+    law::Law,
+    limits::{CHANNELS, WORD_TICKS_MIN},
+    lookahead::Line,
+    path::{Path, State},
+    profile::Timing,
+    real::Real,
+    segment::Direction,
+    steps::{Exit, Moment, Steps},
+};
+
+/// Stretches of one way that are not encoded to their end: what was under way, the change, the
+/// slowing down before a turn, the way back, and as many for changes within 2 ms.
+const STRETCHES_MAX: usize = 6;
+
+/// What one axis does by itself.
+#[derive(Clone, Debug)]
+pub(super) struct Way {
+    stretches: [Option<Stretch>; STRETCHES_MAX],
+    count: usize,
+    writing: usize,
+    steps: Option<Steps>,
+    made: Made,
+}
+
+/// Where a way was left.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Left {
+    /// At rest, from this tick on.
+    Resting {
+        /// From when on.
+        at: u64,
+        /// Booked steps there, if that is not the end of what was planned.
+        base_steps: Option<i64>,
+    },
+    /// In motion.
+    Moving(Split),
+}
+
+impl Way {
+    pub(super) const NONE: Self = Self {
+        stretches: [None; STRETCHES_MAX],
+        count: 0,
+        writing: 0,
+        steps: None,
+        made: Made {
+            at: 0,
+            booked_steps: 0,
+        },
+    };
+
+    /// Forgets where it leads.
+    pub(super) fn clear(&mut self) {
+        self.count = 0;
+        self.writing = 0;
+        self.steps = None;
+    }
+
+    pub(super) fn is_unfinished(&self) -> bool {
+        self.steps.is_some() || self.writing < self.count
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Stretch> {
+        self.stretches[..self.count].iter().flatten()
+    }
+
+    fn retire(&mut self, encoded_ticks: u64) {
+        let ended = |stretch: &&Stretch| stretch.end_ticks <= encoded_ticks;
+        let done = self.all().take_while(ended).count().min(self.writing);
+        self.stretches.copy_within(done..self.count, 0);
+        self.count -= done;
+        self.writing -= done;
+    }
+
+    fn write(&mut self, index: usize, axis: &mut Axis, tail: &mut Tail, timing: &[Timing]) -> bool {
+        loop {
+            if let Some(steps) = self.steps.as_mut() {
+                if !steps.write_axis(index, axis, tail) {
+                    return false;
+                }
+                self.steps = None;
+            }
+            if self.writing == self.count {
+                return true;
+            }
+            let stretch = self.stretches[self.writing].expect("below the count");
+            let mut steps = stretch.steps(&stretch.path(), timing);
+            if self.made.at > stretch.begin.ticks {
+                steps.skip(index, self.made.booked_steps - stretch.base_steps[index]);
+            }
+            self.steps = Some(steps);
+            self.writing += 1;
+        }
+    }
+
+    /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
+    fn leave(&mut self, index: usize, cut: u64, direction: Option<Direction>) -> Left {
+        let Some(place) = self.all().position(|stretch| stretch.end_ticks > cut) else {
+            let end = self.all().last().map_or(cut, |stretch| stretch.end_ticks);
+            return Left::Resting {
+                at: end.max(cut),
+                base_steps: None,
+            };
+        };
+        let stretch = self.stretches[place].as_mut().expect("below the count");
+        let base_steps = stretch.base_steps;
+        let line = stretch.line;
+        let turned = direction == Some(Direction::of(line.steps[index]));
+        let booked_steps = self.made.booked_steps;
+        if !turned && booked_steps != base_steps[index] {
+            // All its edges are made: the pin has turned for what comes behind it.
+            let at = stretch.end_ticks;
+            self.count = place + 1;
+            return Left::Resting {
+                at,
+                base_steps: Some(booked_steps),
+            };
+        }
+        if stretch.begin.ticks >= cut || !turned {
+            // It has not begun, or makes no step before it has turned.
+            self.count = place;
+            if stretch.from.place.is_none() || !turned {
+                return Left::Resting {
+                    at: cut,
+                    base_steps: Some(base_steps[index]),
+                };
+            }
+            return Left::Moving(Split {
+                line,
+                from: without_accel(stretch.from, &line.law),
+                at: stretch.begin,
+                base_steps,
+            });
+        }
+        let since = Real::of(cut - stretch.begin.ticks);
+        let from = without_accel(stretch.path().state_at(since), &line.law);
+        stretch.until = Some(since);
+        stretch.exit = Exit::Moving;
+        stretch.end_ticks = cut;
+        self.count = place + 1;
+        Left::Moving(Split {
+            line,
+            from,
+            at: Moment::of(cut),
+            base_steps,
+        })
+    }
+
+    fn push(&mut self, stretch: Stretch) {
+        assert!(self.count < STRETCHES_MAX, "asked before");
+        self.stretches[self.count] = Some(stretch);
+        self.count += 1;
+    }
+}
+
+/// Without a limit of jerk an acceleration may end at once.
+fn without_accel(from: State, law: &Law) -> State {
+    match law.jerk() {
+        Some(_) => from,
+        None => State {
+            accel: Real::ZERO,
+            ..from
+        },
+    }
+}
+
+impl Planner {
+    /// Returns whether the way of an axis can be changed now; if not, when more of it is encoded.
+    pub(crate) fn can_change_way(&mut self, index: usize, axis: &Axis, started_at: u64) -> bool {
+        let way = &mut self.ways[index];
+        way.retire(started_at + axis.encoded_ticks());
+        // It is left, slows down, and comes back.
+        way.count + 2 <= STRETCHES_MAX && !axis.has_ended()
+    }
+
+    /// Takes back what is not encoded of an axis and leaves its way there.
+    pub(crate) fn leave_way(&mut self, index: usize, axis: &mut Axis, started_at: u64) -> Left {
+        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
+        self.rewind_way(index, axis, started_at);
+        self.ways[index].leave(index, cut, self.tails[index].direction)
+    }
+
+    fn rewind_way(&mut self, index: usize, axis: &mut Axis, started_at: u64) {
+        let rewound = axis.rewind();
+        let tail = &mut self.tails[index];
+        *tail = Tail {
+            low_ticks: rewound.low_ticks,
+            direction: rewound.direction,
+            at: started_at + rewound.encoded_ticks,
+            edge_at: None,
+        };
+        let way = &mut self.ways[index];
+        way.made = Made {
+            at: tail.at,
+            booked_steps: axis.ledger().booked_steps(),
+        };
+        way.steps = None;
+        let at = tail.at;
+        way.writing = way
+            .all()
+            .take_while(|stretch| stretch.end_ticks <= at)
+            .count();
+    }
+
+    /// The channels start; what is written begins at `begin`.
+    pub(crate) fn begin_ways(&mut self, begin: u64) {
+        for (tail, way) in self.tails.iter_mut().zip(&mut self.ways) {
+            tail.at = begin;
+            way.clear();
+        }
+    }
+
+    /// Begins a way from rest at `begin` or as soon as the axis may turn.
+    pub(crate) fn begin_way(
+        &mut self,
+        index: usize,
+        line: Line,
+        jump_steps: u16,
+        begin: u64,
+        base_steps: i64,
+        axes: &[Axis],
+    ) {
+        let timing = timing_of(axes);
+        let line = self.within(line, &timing[..axes.len()]);
+        let mut from = State::REST;
+        if jump_steps > 0 {
+            let jump = u64::from(jump_steps).min(line.major_steps);
+            from.speed = line.law.jump_speed(Real::of(jump)).min(line.speed_max);
+        }
+        let mut all_steps = [0; CHANNELS];
+        all_steps[index] = base_steps;
+        let mut stretch = Stretch {
+            line,
+            from,
+            goal: Goal::Leave(Real::ZERO),
+            until: None,
+            begin: Moment::of(begin),
+            end_ticks: 0,
+            exit: Exit::Rest,
+            base_steps: all_steps,
+        };
+        let mut steps = stretch.steps(&stretch.path(), &timing[..axes.len()]);
+        let tail = &self.tails[index];
+        if let Some((edge, direction)) = steps.first_edge(index)
+            && self.heading(index) != Some(direction)
+        {
+            // What is planned before rests from its last step on; that is written up to `tail.at`.
+            let since = match self.ways[index].all().last() {
+                Some(before) => self.rest_before(index, before, begin),
+                None => tail.low_ticks.saturating_add(begin.saturating_sub(tail.at)),
+            };
+            let rest_ticks = since.saturating_add(edge - begin);
+            let missing = axes[index]
+                .timing()
+                .window_ticks()
+                .saturating_sub(rest_ticks);
+            if missing > 0 {
+                steps.delay(missing.max(WORD_TICKS_MIN));
+            }
+        }
+        stretch.begin = steps.begin();
+        stretch.end_ticks = steps.end().ticks;
+        self.ways[index].push(stretch);
+    }
+
+    /// Which way an axis goes at the end of what is planned.
+    fn heading(&self, index: usize) -> Option<Direction> {
+        let last = self.ways[index].all().last();
+        match last {
+            Some(stretch) if stretch.end_ticks > self.tails[index].at => {
+                Some(Direction::of(stretch.line.steps[index]))
+            }
+            _ => self.tails[index].direction,
+        }
+    }
+
+    /// Least rest from the last step's high time of a stretch until `begin`, behind its end.
+    fn rest_before(&self, index: usize, before: &Stretch, begin: u64) -> u64 {
+        let tail = &self.tails[index];
+        if before.end_ticks <= tail.at {
+            return tail.low_ticks.saturating_add(begin.saturating_sub(tail.at));
+        }
+        begin - before.end_ticks
+    }
+
+    /// Goes on with a way that was left, to the end of its line or to rest as soon as possible.
+    /// Returns where it ends: the tick, and steps of the line with sign.
+    pub(crate) fn go_on_way(
+        &mut self,
+        index: usize,
+        split: Split,
+        to_rest: bool,
+        axes: &[Axis],
+    ) -> (u64, i64) {
+        let timing = timing_of(axes);
+        let mut line = split.line;
+        let sign = line.steps[index].signum();
+        if to_rest {
+            line.major_steps = WAY_STEPS_MAX as u64;
+            line.steps[index] = sign * WAY_STEPS_MAX as i64;
+        }
+        let mut stretch = Stretch {
+            line: self.within(line, &timing[..axes.len()]),
+            from: split.from,
+            goal: if to_rest {
+                Goal::Rest
+            } else {
+                Goal::Leave(Real::ZERO)
+            },
+            until: None,
+            begin: split.at,
+            end_ticks: 0,
+            exit: Exit::Rest,
+            base_steps: split.base_steps,
+        };
+        let path = stretch.path();
+        let steps = stretch.steps(&path, &timing[..axes.len()]);
+        stretch.end_ticks = steps.end().ticks;
+        self.ways[index].push(stretch);
+        let made = match to_rest {
+            true => sign * path.end_steps().rounded(),
+            false => line.steps[index],
+        };
+        (stretch.end_ticks, made)
+    }
+
+    /// Returns the way that a left one still needs until rest by this law, from its line's begin.
+    pub(crate) fn least_way(split: &Split, law: &Law) -> Real {
+        let mut to_rest = Path::at(split.from);
+        to_rest.come_to_rest(law);
+        to_rest.end_steps()
+    }
+
+    fn within(&self, mut line: Line, timing: &[Timing]) -> Line {
+        line.speed_max = (line.speed_max * self.share()).min(line.driver_speed_max(timing));
+        line
+    }
+
+    /// Returns when the last of the ways ends.
+    pub(crate) fn ways_end(&self) -> Option<u64> {
+        let ends = self.ways.iter().filter_map(|way| way.all().last());
+        ends.map(|stretch| stretch.end_ticks).max()
+    }
+
+    /// Returns when the way of an axis ends.
+    pub(crate) fn way_end(&self, index: usize) -> Option<u64> {
+        let last = self.ways[index].all().last();
+        last.map(|stretch| stretch.end_ticks)
+    }
+
+    /// Goes on with all ways, and with the rest of who has none, up to `until`.
+    pub(crate) fn write_ways(&mut self, axes: &mut [Axis], until: u64, started_at: u64) {
+        let timing = timing_of(axes);
+        let timing = &timing[..axes.len()];
+        for (index, axis) in axes.iter_mut().enumerate() {
+            if self.tails[index].at > until && !axis.has_ended() {
+                // Another axis ends earlier than it was to.
+                self.rewind_way(index, axis, started_at);
+            }
+            let tail = &mut self.tails[index];
+            let way = &mut self.ways[index];
+            if way.write(index, axis, tail, timing) && tail.at < until && axis.has_room() {
+                let ends_in_a_word = until - tail.at < WORD_TICKS_MIN && tail.edge_at.is_none();
+                if !ends_in_a_word {
+                    tail.rest(axis, until);
+                }
+            }
+        }
+    }
+
+    /// Forgets what is encoded of the ways.
+    pub(crate) fn retire_ways(&mut self, axes: &[Axis], started_at: u64) {
+        for (way, axis) in self.ways.iter_mut().zip(axes) {
+            way.retire(started_at + axis.encoded_ticks());
+        }
+    }
+
+    /// Returns the way of one axis from `now` until rest if it slowed down as soon as it can.
+    pub(crate) fn way_to_stop_of(
+        &self,
+        index: usize,
+        axis: &Axis,
+        started_at: u64,
+        now: u64,
+    ) -> Real {
+        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
+        let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
+        let Some(stretch) = self.ways[index].all().find(under_way) else {
+            return Real::ZERO;
+        };
+        let path = stretch.path();
+        let mut slower = path;
+        slower.cut(Real::of(cut - stretch.begin.ticks));
+        slower.come_to_rest(&stretch.line.law);
+        let since = Real::of(now.saturating_sub(stretch.begin.ticks));
+        slower.end_steps() - path.state_at(since).place
+    }
+}
