@@ -36,8 +36,7 @@ pub const MOVE_US_MAX: u64 = 1 << 58;
 /// Most nodes of a synchronized job: each change of a part tells the record of all of them.
 pub const GROUP_NODES_MAX: usize = 128;
 
-/// Longest name of a barrier, bytes.
-pub const BARRIER_BYTES_MAX: usize = 64;
+pub use crate::start::BARRIER_BYTES_MAX;
 
 /// A job as a client asks for it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -591,7 +590,8 @@ impl GroupRequest {
     }
 
     /// Meeting points that could never be lifted: met by one part only, twice in one part, or in
-    /// an order in which two parts wait for each other.
+    /// an order in which two parts wait for each other. Where a script will go is not known: another
+    /// part may be one that comes to it.
     fn check_barriers(&self) -> Result<(), JobError> {
         let bad = |node: &NodeId, index: usize, words: &str| {
             let message = format!("nodes.{node}.commands[{index}].barrier: {words}");
@@ -619,7 +619,8 @@ impl GroupRequest {
             );
             return Err(JobError::new(ErrorCode::TooLarge, message));
         }
-        for (node, list) in &lists {
+        let scripts = self.nodes.values().any(|work| matches!(work, Work::Lua(_)));
+        for (node, list) in lists.iter().filter(|_| !scripts) {
             for (name, index) in list {
                 if parts_of[name] == 1 {
                     return bad(node, *index, &format!("no other part meets at `{name}`"));

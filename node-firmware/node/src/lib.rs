@@ -42,7 +42,7 @@ use crate::{
     library::{Library, ScriptStore},
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
-    script::{Publication, Slot},
+    script::{Barriers, Publication, Slot},
     start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
@@ -212,6 +212,10 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     lidar_mm: Option<u32>,
     lidar_count: u32,
     script: Slot,
+    /// Barriers of the present script, or of the last one: their commands may wait longer than it.
+    barriers: Barriers,
+    /// When a script queued something last.
+    script_queued_at: LocalMicros,
     report_due: bool,
     publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
     stored: Library,
@@ -263,6 +267,8 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             lidar_mm: None,
             lidar_count: 0,
             script: Slot::None,
+            barriers: Barriers::default(),
+            script_queued_at: LocalMicros(0),
             report_due: false,
             publications: heapless::Deque::new(),
             stored: Library::default(),

@@ -4,8 +4,11 @@ mod rig;
 
 use emulator::{EmulatorConfig, Recording, oracle};
 use keys::{
-    AxisId, NodeState, NodeTopic, Order, Refusal, ScriptHeader, ScriptOutcome, ScriptReport,
-    StopMode, Verdict, batch::ORDER_BYTES_MAX, version,
+    AxisId, BatchHeader, Command, NodeState, NodeTopic, Order, Refusal, ScriptHeader,
+    ScriptOutcome, ScriptReport, StopMode, Verdict,
+    batch::ORDER_BYTES_MAX,
+    start::{BarrierName, StartMessage},
+    version,
 };
 use node::library::{SaveError, ScriptStore, StoreError, UNSAVED_MAX};
 use rig::{Rig, batch_bytes, job, steps};
@@ -351,6 +354,75 @@ fn a_boot_script_runs_only_where_the_configuration_allows_it() {
         rig.node.node_mut().store_script(now, "boot", None);
         assert!(rig.node.node().library().iter().next().is_none());
     }
+}
+
+#[test]
+fn a_script_names_the_barrier_that_it_waits_at_and_goes_on_when_told() {
+    let mut rig = Rig::new(config());
+    // A part of a synchronized job begins with the barrier of its start.
+    let queue = rig.queue();
+    let start = BatchHeader {
+        queue,
+        first_command: 0,
+        command_count: 1,
+        job: job("lua-1"),
+        job_end: 2,
+    };
+    let barrier = Command::Barrier { barrier: 0 };
+    let _ = rig.order_bytes(&batch_bytes(start, &[barrier]));
+    // It never rests, but it has queued what it will.
+    let text =
+        "motor.queue_move(0, 100, 50) motor.queue_barrier('layer 2') motor.queue_move(0, 100, 7)
+        motor.execute() while motor.is_busy() do end return motor.get_position(0)";
+    send(&mut rig, text);
+    let said = |rig: &Rig| {
+        let mut messages = rig.sent.iter().filter(|sent| sent.1 == NodeTopic::Start);
+        let (_, _, payload) = messages.next_back().expect("something was said");
+        version::decode::<StartMessage>(payload).expect("a message")
+    };
+    let lift = |rig: &mut Rig, command: u64| {
+        let now_us = rig.now.0;
+        for message in [
+            StartMessage::Commit {
+                queue,
+                command,
+                start_at: keys::LocalMicros(now_us + 100_000),
+                confirm_by: keys::LocalMicros(now_us + 50_000),
+            },
+            StartMessage::Confirm { queue, command },
+        ] {
+            let mut buffer = [0; 64];
+            let bytes = version::encode(&message, &mut buffer)
+                .expect("room")
+                .to_vec();
+            rig.put(NodeTopic::Start, &bytes);
+        }
+    };
+    rig.run_for(300_000);
+    assert_eq!(said(&rig), StartMessage::Ready { queue, command: 0 });
+    lift(&mut rig, 0);
+    rig.run_for(400_000);
+    assert_eq!(rig.position(), 50);
+    assert_eq!(rig.state(), NodeState::Ready);
+    let name = BarrierName::new("layer 2").expect("legal");
+    let waits = StartMessage::ReadyAt {
+        queue,
+        command: 3,
+        name,
+    };
+    assert_eq!(said(&rig), waits);
+    lift(&mut rig, 3);
+    rig.run_for(400_000);
+    assert_eq!(reported(&rig, ScriptOutcome::Returned), "57");
+    check_pulses(&mut rig);
+    // Alone there is nobody to meet.
+    send(&mut rig, "motor.queue_barrier('x')");
+    rig.run_for(10_000);
+    let text = reported(&rig, ScriptOutcome::Failed);
+    assert!(
+        text.contains("only a part of a synchronized job can meet others"),
+        "{text}"
+    );
 }
 
 /// A store that counts, and fails when it is told to.
