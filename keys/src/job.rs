@@ -40,8 +40,7 @@ pub const MOVE_US_MAX: u64 = 1 << 58;
 /// Most nodes of a synchronized job: each change of a part tells the record of all of them.
 pub const GROUP_NODES_MAX: usize = 128;
 
-/// Longest name of a barrier, bytes.
-pub const BARRIER_BYTES_MAX: usize = 64;
+pub use crate::start::BARRIER_BYTES_MAX;
 
 /// A job as a client asks for it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -10,7 +10,7 @@ use keys::{
     batch::BatchWriter,
     clock::{ClockMessage, ClockProbe, ClockReply},
     command::{Ramp, RampShape},
-    start::StartMessage,
+    start::{BarrierName, StartMessage},
     status::{DecodeError, FaultCode},
     version,
 };
@@ -387,6 +387,34 @@ fn start_messages_have_their_bytes() {
         first_edge_at: LocalMicros(2_000_001),
     };
     check(started, "01 05 f8 ac d1 91 01 03 ac 02 81 89 7a");
+}
+
+#[test]
+fn the_name_of_a_barrier_has_its_bytes_and_its_bounds() {
+    let (queue, command) = (QUEUE, 300);
+    let name = BarrierName::new("layer-2").expect("legal");
+    check(
+        StartMessage::ReadyAt {
+            queue,
+            command,
+            name,
+        },
+        "01 06 f8 ac d1 91 01 03 ac 02 07 6c 61 79 65 72 2d 32",
+    );
+    assert_eq!(BarrierName::new(""), None);
+    let longest = "x".repeat(64);
+    assert_eq!(
+        BarrierName::new(&longest).map(|name| name.as_str() == longest),
+        Some(true)
+    );
+    assert_eq!(BarrierName::new(&"x".repeat(65)), None);
+    for wrong in ["01 06 01 01 01 00", "01 06 01 01 01 01 ff"] {
+        let bytes: Vec<u8> = wrong
+            .split(' ')
+            .map(|byte| u8::from_str_radix(byte, 16).expect("hex"))
+            .collect();
+        assert!(version::decode::<StartMessage>(&bytes).is_err(), "{wrong}");
+    }
 }
 
 #[test]

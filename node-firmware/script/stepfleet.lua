@@ -101,6 +101,13 @@ function motor.queue_move_d(on) end
 ---@return CommandId
 function motor.queue_status_cd() end
 
+---Waits in the queue for the other parts of a synchronized job: all go on at one instant. The other
+---parts come to it by a `barrier` of the same name among their commands, or by this call; every part
+---that is a script has to. A script goes on at once and queues what comes behind.
+---@param name string 1 to 64 bytes, once in a script.
+---@return CommandId
+function motor.queue_barrier(name) end
+
 ---Begins to execute what is queued.
 function motor.execute() end
 

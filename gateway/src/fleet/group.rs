@@ -22,7 +22,11 @@ use super::{
     start::{Edge, Limits, Start, Step},
     submit::{check_script, script_of},
 };
-use crate::job::{Ending, Job, JobEntry, group::joined, new_record};
+use crate::job::{
+    Ending, Job, JobEntry,
+    group::{GroupEntry, joined},
+    new_record,
+};
 use keys::{
     Command, FleetMicros, GroupId, JobId, NodeId, NodeTopic, StopMode,
     job::{GroupRequest, Offline, Work},
@@ -49,6 +53,10 @@ pub(super) const MEASURING_US: u64 = 1_200_000;
 pub(super) struct Group {
     limits: Limits,
     timeout_us: Option<u64>,
+    /// Nodes whose part is a script, also when that has ended.
+    scripts: BTreeSet<NodeId>,
+    /// The numbers of the meeting points that lists of commands have.
+    names: BTreeMap<String, u16>,
     /// From the first part that was sent on.
     start: Option<Start>,
     /// Nodes that may have gone on although others did not: they come to rest at once.
@@ -66,6 +74,17 @@ impl Group {
                 ready_timeout_us: micros(ready_timeout_ms, 1e3),
             },
             timeout_us: request.timeout_s.map(|limit_s| micros(limit_s, 1e6)),
+            scripts: request
+                .nodes
+                .iter()
+                .filter(|(_, work)| matches!(work, Work::Lua(_)))
+                .map(|(node, _)| *node)
+                .collect(),
+            names: request
+                .barrier_numbers()
+                .into_iter()
+                .map(|(name, number)| (name.to_owned(), number))
+                .collect(),
             start: None,
             halts: BTreeSet::new(),
         }
@@ -287,7 +306,10 @@ impl Fleet {
     ) {
         let from_node = matches!(
             message,
-            StartMessage::Ready { .. } | StartMessage::Armed { .. } | StartMessage::Started { .. }
+            StartMessage::Ready { .. }
+                | StartMessage::ReadyAt { .. }
+                | StartMessage::Armed { .. }
+                | StartMessage::Started { .. }
         );
         let known = self
             .nodes
@@ -296,6 +318,14 @@ impl Fleet {
         let Some(view) = known.filter(|_| from_node) else {
             return;
         };
+        if let StartMessage::ReadyAt { queue, command, .. } = message
+            && view
+                .numbers()
+                .is_some_and(|(of, executed)| of == *queue && executed > *command)
+        {
+            // It comes late: the meeting may be over and forgotten.
+            return;
+        }
         let edge = match message {
             StartMessage::Started { first_edge_at, .. } => {
                 let at = view.clock().fleet_from_local(*first_edge_at);
@@ -370,12 +400,18 @@ impl Fleet {
         if group.start.is_none() && !job.parts.values().any(sent) {
             return;
         }
-        let planned = job.entry.group.as_ref().map(|entry| &entry.planned);
-        let none = BTreeMap::new();
+        let entry = job.entry.group.as_deref();
         let start = group.start.get_or_insert_with(|| {
             let parts = job.parts.iter();
             let parts = parts.map(|(node, part)| (*node, part.commands.as_ref()));
-            Start::new(group.limits, parts, planned.unwrap_or(&none))
+            let none = GroupEntry::default();
+            let entry = entry.unwrap_or(&none);
+            Start::new(group.limits, parts, &entry.planned).with_scripts(
+                &group.scripts,
+                &group.names,
+                &entry.named,
+                &entry.planned,
+            )
         });
         self.started.insert(*id);
         for (node, part) in &job.parts {
@@ -456,20 +492,27 @@ impl Fleet {
             for (number, step) in steps {
                 match step {
                     Step::Nothing => {}
-                    Step::Planned(at) => self.book.edit_whole(
-                        id,
-                        |job| {
-                            if let Some(group) = &mut job.entry.group {
-                                group.planned.insert(number, at);
-                            }
-                        },
-                        effects,
-                    ),
+                    Step::Planned(at) => {
+                        let group = self.groups.get(id);
+                        let start = group.and_then(|group| group.start.as_ref());
+                        let named = start.and_then(|start| start.named(number));
+                        self.book.edit_whole(
+                            id,
+                            |job| {
+                                if let Some(group) = &mut job.entry.group {
+                                    group.planned.insert(number, at);
+                                    group.named.extend(named.map(|named| (number, named)));
+                                }
+                            },
+                            effects,
+                        );
+                    }
                     Step::Met => self.book.edit_whole(
                         id,
                         |job| {
                             if let Some(group) = &mut job.entry.group {
                                 group.planned.remove(&number);
+                                group.named.remove(&number);
                                 group.started |= number == 0;
                             }
                         },

@@ -17,6 +17,9 @@
 //! | T0 | | goes on, `Started` |
 //! | T0 + [`STARTED_PATIENCE_US`] | one has not been heard to go on: failed | |
 //!
+//! Where the parts meet is known from their commands, and of scripts when they come there: see
+//! `script`.
+//!
 //! Owns phases, deadlines and repetitions of one meeting point, and the choice of T0. A plan is
 //! made at most once for each meeting point, and a plan that was found in the store is never
 //! committed again.
@@ -39,12 +42,17 @@
 //!
 //! Absent on purpose: jobs and records, the store, and how a node waits.
 
+mod script;
+
+pub use script::NamedMeeting;
+
 use super::clock::ClockTrack;
 use keys::{
     Command, FleetMicros, LocalMicros, NodeId, QueueId,
     record::{ErrorCode, JobError, StartRecord},
     start::StartMessage,
 };
+use script::Scripts;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Shortest time from a plan to its instant, µs.
@@ -126,6 +134,25 @@ struct Seat {
     /// What a commit says: start_at, confirm_by.
     orders: Option<(LocalMicros, LocalMicros)>,
     edge: Option<Edge>,
+    /// Its part is a script: whether it comes is not known before it does.
+    script: bool,
+    /// The script has ended without coming here.
+    absent: bool,
+}
+
+impl Seat {
+    fn new(offset_us: u64) -> Self {
+        Self {
+            offset_us,
+            place: None,
+            stage: Stage::Coming,
+            waits: false,
+            orders: None,
+            edge: None,
+            script: false,
+            absent: false,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -157,6 +184,10 @@ enum Phase {
 #[derive(Clone, Debug)]
 pub struct Meeting {
     limits: Limits,
+    /// What clients call it; empty where nobody asks.
+    name: String,
+    /// No other part of the job can come.
+    alone: bool,
     seats: BTreeMap<NodeId, Seat>,
     phase: Phase,
     /// Until when all must be ready and all clocks known.
@@ -168,6 +199,8 @@ impl Meeting {
     fn new(limits: Limits, planned: Option<FleetMicros>) -> Self {
         Self {
             limits,
+            name: String::new(),
+            alone: false,
             seats: BTreeMap::new(),
             phase: planned.map_or(Phase::Gathering, Phase::Resumed),
             give_up_at: None,
@@ -186,14 +219,16 @@ impl Meeting {
             }
             (_, Phase::Over) => {}
             _ if seat.stage == Stage::Passed => {}
-            (StartMessage::Ready { .. }, Phase::Confirmed(plan)) => {
+            (StartMessage::Ready { .. } | StartMessage::ReadyAt { .. }, Phase::Confirmed(plan)) => {
                 // Before, it can only be a late word from before it was armed.
                 let slack_us = self.limits.max_skew_us as u64;
                 if now.plus_us(slack_us) >= plan.confirm_by {
                     seat.stage = Stage::Ready;
                 }
             }
-            (StartMessage::Ready { .. }, _) => seat.stage = Stage::Ready,
+            (StartMessage::Ready { .. } | StartMessage::ReadyAt { .. }, _) => {
+                seat.stage = Stage::Ready;
+            }
             (StartMessage::Armed { .. }, Phase::Committed(_) | Phase::Broken { .. }) => {
                 seat.stage = Stage::Armed;
             }
@@ -222,6 +257,9 @@ impl Meeting {
         now: FleetMicros,
         mut say: impl FnMut(NodeId, StartMessage),
     ) -> Step {
+        if let Some(reasons) = self.take_absent() {
+            return self.fail(reasons, now);
+        }
         let all = |stage: Stage| {
             let mut seats = self.seats.values();
             seats.all(|seat| seat.stage == stage || seat.stage == Stage::Passed)
@@ -513,6 +551,8 @@ pub struct Start {
     bases: BTreeMap<NodeId, (QueueId, u64)>,
     /// Meeting points at which something has happened and that are not over.
     open: BTreeSet<u16>,
+    limits: Limits,
+    scripts: Scripts,
 }
 
 impl Start {
@@ -527,6 +567,8 @@ impl Start {
             ways: BTreeMap::new(),
             bases: BTreeMap::new(),
             open: planned.keys().copied().collect(),
+            limits,
+            scripts: Scripts::default(),
         };
         for (node, commands) in parts {
             let way = start.ways.entry(node).or_default();
@@ -537,15 +579,8 @@ impl Start {
                 let meeting = start.meetings.entry(barrier);
                 let meeting =
                     meeting.or_insert_with(|| Meeting::new(limits, planned.get(&barrier).copied()));
-                let seat = Seat {
-                    offset_us: first_edge_us(&commands[index + 1..]),
-                    place: None,
-                    stage: Stage::Coming,
-                    waits: false,
-                    orders: None,
-                    edge: None,
-                };
-                meeting.seats.insert(node, seat);
+                let offset_us = first_edge_us(&commands[index + 1..]);
+                meeting.seats.insert(node, Seat::new(offset_us));
                 way.push_back((index as u64, barrier));
             }
         }
@@ -575,7 +610,7 @@ impl Start {
 
     /// Returns whether a message of this node is about one of these meeting points.
     pub fn is_of(&self, node: NodeId, message: &StartMessage) -> bool {
-        self.number_of(node, message).is_some()
+        self.number_of(node, message).is_some() || self.may_name(node, message)
     }
 
     fn number_of(&self, node: NodeId, message: &StartMessage) -> Option<u16> {
@@ -599,6 +634,7 @@ impl Start {
         edge: Option<Edge>,
         now: FleetMicros,
     ) {
+        self.hear_name(node, message);
         let Some(number) = self.number_of(node, message) else {
             return;
         };
@@ -643,6 +679,9 @@ impl Start {
                 seat.place = None;
             }
         }
+        if all {
+            self.note_ended(node);
+        }
     }
 
     /// Says what is due. Returns what is new, each with its number.
@@ -669,6 +708,9 @@ impl Start {
             if step != Step::Nothing {
                 steps.push((number, step));
             }
+        }
+        if steps.is_empty() {
+            steps.extend(self.find_deadlock(now));
         }
         steps
     }
@@ -701,6 +743,7 @@ impl Start {
 fn place_of(message: &StartMessage) -> (QueueId, u64) {
     match *message {
         StartMessage::Ready { queue, command }
+        | StartMessage::ReadyAt { queue, command, .. }
         | StartMessage::Commit { queue, command, .. }
         | StartMessage::Armed { queue, command }
         | StartMessage::Confirm { queue, command }

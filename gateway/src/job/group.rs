@@ -21,6 +21,7 @@
 //! another one did, and the start. Those are the fleet's.
 
 use super::{Activation, Change, Ending, Job, ScriptEnd, is_legal};
+use crate::fleet::start::NamedMeeting;
 use keys::{
     FleetMicros, NodeId,
     record::{ErrorCode, JobError, JobState, PartRecord, Progress},
@@ -36,6 +37,9 @@ pub struct GroupEntry {
     /// Meeting points for which a commit may be on its way, with the planned instant. Durable
     /// before the first commit leaves.
     pub planned: BTreeMap<u16, FleetMicros>,
+    /// Those of them to which scripts have come.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub named: BTreeMap<u16, NamedMeeting>,
     /// Every node has passed the start.
     pub started: bool,
 }

@@ -253,6 +253,7 @@ impl FakeNode {
                 }
             }
             StartMessage::Ready { .. }
+            | StartMessage::ReadyAt { .. }
             | StartMessage::Armed { .. }
             | StartMessage::Started { .. } => panic!("a node's own word"),
         }

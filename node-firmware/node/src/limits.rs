@@ -61,6 +61,13 @@ pub const CREDIT_SHARE: usize = 4;
 /// Time between two reports of a script that has ended, until one is answered.
 pub const REPORT_US: u64 = 500_000;
 
+/// Barriers of one script: a name of 65 bytes each.
+pub const BARRIERS_MAX: usize = 256;
+
+/// A script that has queued nothing for so long has filled the queue behind a barrier as far as it
+/// will: one that looks again and again whether it is over never waits for anything.
+pub const SCRIPT_QUIET_US: u64 = 100_000;
+
 /// Values that a script has published and that wait for the link.
 pub const PUBLICATIONS_MAX: usize = 8;
 

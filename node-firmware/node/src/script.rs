@@ -15,7 +15,7 @@
 use crate::{
     LinkLoss, Node, Outputs,
     intake::CurrentJob,
-    limits::{PUBLICATIONS_MAX, REPORT_US},
+    limits::{BARRIERS_MAX, PUBLICATIONS_MAX, REPORT_US, SCRIPT_QUIET_US},
     stop::Phase,
     trace::Event,
 };
@@ -26,16 +26,25 @@ use alloc::{
 };
 use keys::{
     AxisId, Command, JobId, LocalMicros, NodeState, QueueId, Refusal, ScriptHeader, ScriptOutcome,
-    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX,
+    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, start::BarrierName,
 };
 use motion::{CommandError, StepBackend};
-use script::{End, Full, Host, LidarReading, Script, Step, Wait};
+use script::{BarrierError, End, Full, Host, LidarReading, Script, Step, Wait};
 
 /// What a script has published and the link has not taken.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Publication {
     pub(crate) suffix: heapless::String<32>,
     pub(crate) json: String,
+}
+
+/// The meeting points that a script has named.
+#[derive(Debug, Default)]
+pub(crate) struct Barriers {
+    /// It is a part of a synchronized job.
+    in_group: bool,
+    /// Each with the number of its command, once that is in the queue.
+    named: Vec<(BarrierName, Option<u64>)>,
 }
 
 /// Where the script of the queue is.
@@ -149,6 +158,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         self.outputs
             .note_queued(self.queue, first_command, &[MARK], now);
         self.motion.expect_more(0);
+        // A part of a synchronized job has the barrier of its start before it.
+        self.barriers = Barriers {
+            in_group: self.job.is_some_and(|current| current.id == job),
+            named: Vec::new(),
+        };
+        self.script_queued_at = now;
         self.job = Some(CurrentJob {
             id: job,
             end: u64::MAX,
@@ -308,6 +323,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// A stop, a cancel or a fault drops the queue, and the script with it.
     pub(crate) fn drop_script(&mut self, now: LocalMicros) {
+        self.barriers = Barriers::default();
         match core::mem::take(&mut self.script) {
             Slot::Running { mut script, .. } => self.log_ended(&mut script, now),
             ended @ Slot::Ended { .. } => self.script = ended,
@@ -333,8 +349,15 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     }
 
     /// Returns whether a start need not wait for the script: it has queued what it could.
-    pub(crate) fn script_rests(&self) -> bool {
-        self.script.rests()
+    pub(crate) fn script_rests(&self, now: LocalMicros) -> bool {
+        self.script.rests() || now.since_us(self.script_queued_at) >= SCRIPT_QUIET_US
+    }
+
+    /// Returns the name of the barrier that is this command of the queue, if a script has named it.
+    pub(crate) fn barrier_name(&self, command: u64) -> Option<BarrierName> {
+        let mut named = self.barriers.named.iter();
+        let found = named.find(|(_, number)| *number == Some(command));
+        found.map(|(name, _)| *name)
     }
 
     /// Returns when [`Node::run_script`] has something to do by the clock.
@@ -390,9 +413,33 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
         self.node.motion.credit_commands()
     }
 
+    fn barrier(&mut self, name: BarrierName) -> Result<u16, BarrierError> {
+        let barriers = &mut self.node.barriers;
+        if !barriers.in_group {
+            return Err(BarrierError::Alone);
+        }
+        let known = barriers.named.iter().position(|(known, _)| *known == name);
+        let number = known.unwrap_or(barriers.named.len());
+        if number >= BARRIERS_MAX {
+            return Err(BarrierError::Many);
+        }
+        if known.is_none() {
+            barriers.named.push((name, None));
+        }
+        Ok(number as u16)
+    }
+
     fn push(&mut self, commands: &[Command]) {
         let node = &mut *self.node;
         let first = node.motion.accepted_commands();
+        node.script_queued_at = self.now;
+        for (command, number) in commands.iter().zip(first..) {
+            if let Command::Barrier { barrier } = command
+                && let Some(named) = node.barriers.named.get_mut(usize::from(*barrier))
+            {
+                named.1 = Some(number);
+            }
+        }
         // The script never has more than the credit it was told.
         if let Ok(mut reservation) = node.motion.reserve(commands.len()) {
             for command in commands {

@@ -77,6 +77,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             | StartMessage::Confirm { .. }
             | StartMessage::Abort { .. }
             | StartMessage::Ready { .. }
+            | StartMessage::ReadyAt { .. }
             | StartMessage::Armed { .. }
             | StartMessage::Started { .. } => {}
         }
@@ -148,7 +149,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Returns whether what follows the barrier is in the ring, or as much of it as fits.
     fn is_filled(&self) -> bool {
         let rest_is_here = if self.script.is_running() {
-            self.script_rests()
+            self.script_rests(self.now)
         } else {
             self.job
                 .is_some_and(|job| self.motion.accepted_commands() >= job.end)
@@ -215,9 +216,14 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             && self.link_up()
         {
             if self.is_filled() {
-                self.say(StartMessage::Ready {
-                    queue: self.queue,
-                    command,
+                let queue = self.queue;
+                self.say(match self.barrier_name(command) {
+                    Some(name) => StartMessage::ReadyAt {
+                        queue,
+                        command,
+                        name,
+                    },
+                    None => StartMessage::Ready { queue, command },
                 });
             }
             self.start = Start::Waiting {

@@ -10,6 +10,7 @@ use core::fmt::Write;
 use keys::{
     AxisId, Command, LocalMicros, NodeState,
     command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
+    start::{BARRIER_BYTES_MAX, BarrierName},
 };
 
 /// What a script waits for.
@@ -49,6 +50,7 @@ enum Do {
     QueueMoveC,
     QueueMoveD,
     QueueStatusCd,
+    QueueBarrier,
     Execute,
     EmergencyStop,
     IsBusy,
@@ -71,7 +73,7 @@ enum Do {
     WaitIdle,
 }
 
-const COUNT: usize = 31;
+const COUNT: usize = 32;
 
 macro_rules! functions {
     ($(($module:literal, $name:literal, $shape:literal, $what:ident),)*) => {
@@ -102,6 +104,7 @@ functions! {
     (c"motor", c"queue_move_c", c"v", QueueMoveC),
     (c"motor", c"queue_move_d", c"v", QueueMoveD),
     (c"motor", c"queue_status_cd", c"", QueueStatusCd),
+    (c"motor", c"queue_barrier", c"v", QueueBarrier),
     (c"motor", c"execute", c"", Execute),
     (c"motor", c"emergency_stop", c"", EmergencyStop),
     (c"motor", c"is_busy", c"", IsBusy),
@@ -146,6 +149,8 @@ pub(crate) struct Doings {
     queued_count: u64,
     /// Number in the node's queue of the script's first command.
     first_command: u64,
+    /// Barriers among them.
+    barrier_count: u16,
     pub(crate) wait: Option<Wait>,
     text: String,
     pub(crate) stored: Vec<u8>,
@@ -161,6 +166,7 @@ impl Doings {
             staged: Vec::new(),
             queued_count: 0,
             first_command,
+            barrier_count: 0,
             wait: None,
             text: String::new(),
             stored: Vec::new(),
@@ -362,6 +368,21 @@ impl Turn<'_> {
                 self.queue(Command::MoveD { on })
             }
             Do::QueueStatusCd => self.queue(Command::StatusCd),
+            Do::QueueBarrier => {
+                let name = args.text(0, "name", BARRIER_BYTES_MAX)?;
+                let named = BarrierName::new(name).ok_or("name: it cannot be one")?;
+                let number = self.host.barrier(named);
+                let number = number.map_err(|error| format!("{error}"))?;
+                // A number is given before there is room, and the same one when it is tried again.
+                if number < self.doings.barrier_count {
+                    return Err(format!("name: the script has been at '{name}' already"));
+                }
+                let queued = self.queue(Command::Barrier { barrier: number })?;
+                if let Answer::Return(_) = queued {
+                    self.doings.barrier_count = number + 1;
+                }
+                Ok(queued)
+            }
             Do::LaserSetPower => {
                 let power_percent = args.whole(0, "power", 0, 100)? as u8;
                 self.queue(Command::Laser { power_percent })
@@ -623,11 +644,15 @@ impl<'a> Args<'a> {
     }
 
     fn name(&self, index: usize, name: &str) -> Result<&'a str, Wrong> {
+        self.text(index, name, SUFFIX_BYTES_MAX)
+    }
+
+    fn text(&self, index: usize, name: &str, bytes_max: usize) -> Result<&'a str, Wrong> {
         match self.0[index] {
             Value::Text(text) => match core::str::from_utf8(text) {
-                Ok(text) if (1..=SUFFIX_BYTES_MAX).contains(&text.len()) => Ok(text),
+                Ok(text) if (1..=bytes_max).contains(&text.len()) => Ok(text),
                 _ => Err(format!(
-                    "{name}: a text of 1 to {SUFFIX_BYTES_MAX} bytes, got {} bytes",
+                    "{name}: a text of 1 to {bytes_max} bytes, got {} bytes",
                     text.len()
                 )),
             },

@@ -1,7 +1,27 @@
 //! What a script finds around it: the node, as far as scripts may see and move it.
 
-use keys::{AxisId, Command, LocalMicros, NodeState};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
 use motion::CommandError;
+
+/// Why a script cannot meet others at a barrier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BarrierError {
+    /// Its job is not a synchronized one.
+    Alone,
+    /// It has as many barriers as it may.
+    Many,
+}
+
+impl core::fmt::Display for BarrierError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Alone => "only a part of a synchronized job can meet others",
+            Self::Many => "the script has too many barriers",
+        })
+    }
+}
+
+impl core::error::Error for BarrierError {}
 
 /// There is no room now; try again later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +52,11 @@ pub trait Host {
     fn check(&self, command: &Command) -> Result<(), CommandError>;
     /// Returns how many more commands fit.
     fn credit_commands(&self) -> usize;
+    /// Returns the number of the meeting point of this name, from 0: the same for the same name.
+    ///
+    /// # Errors
+    /// It can be none.
+    fn barrier(&mut self, name: BarrierName) -> Result<u16, BarrierError>;
     /// Adds commands at the end; at most [`Host::credit_commands`] of them.
     fn push(&mut self, commands: &[Command]);
     /// Returns how many commands the queue has taken.

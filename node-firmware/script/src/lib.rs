@@ -30,7 +30,7 @@ mod host;
 mod json;
 
 pub use api::{NAMES, Wait};
-pub use host::{Full, Host, LidarReading};
+pub use host::{BarrierError, Full, Host, LidarReading};
 pub use json::{JSON_BYTES_MAX, JsonError};
 
 use alloc::{format, string::String};

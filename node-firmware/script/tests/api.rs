@@ -108,6 +108,42 @@ fn every_command_is_queued_as_it_is_meant() {
 }
 
 #[test]
+fn a_barrier_has_a_name_of_its_own_and_waits_for_room_like_any_command() {
+    let mut bench = Bench {
+        capacity: 1,
+        ..Bench::default()
+    };
+    let text =
+        "motor.queue_barrier('a') motor.queue_pause(1) return motor.queue_barrier('layer 2')";
+    assert_eq!(bench.returned(text), "3");
+    let barrier = |barrier| Command::Barrier { barrier };
+    let pause = Command::Pause { pause_ms: 1 };
+    assert_eq!(bench.commands, [barrier(0), pause, barrier(1)]);
+    for (text, words) in [
+        (
+            "motor.queue_barrier('a') motor.queue_barrier('a')",
+            "the script has been at 'a' already",
+        ),
+        (
+            "for i = 1, 4 do motor.queue_barrier('b' .. i) end",
+            "too many barriers",
+        ),
+        (
+            "motor.queue_barrier('')",
+            "name: a text of 1 to 64 bytes, got 0 bytes",
+        ),
+        (
+            "motor.queue_barrier(('x'):rep(65))",
+            "name: a text of 1 to 64 bytes, got 65 bytes",
+        ),
+        ("motor.queue_barrier(7)", "name: a text, got"),
+        ("motor.queue_barrier()", "name: a text, got"),
+    ] {
+        assert!(failed(text).contains(words), "{text}: {}", failed(text));
+    }
+}
+
+#[test]
 fn nothing_moves_before_execute_and_what_is_left_moves_at_the_end() {
     let mut bench = Bench::default();
     let text = "motor.queue_pause(1) motor.queue_pause(2) sleep(5)

@@ -6,9 +6,9 @@
     reason = "each test file uses another part of this one"
 )]
 
-use keys::{AxisId, Command, LocalMicros, NodeState};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
 use motion::CommandError;
-use script::{End, Full, Host, LidarReading, Limits, Script, Step, Wait};
+use script::{BarrierError, End, Full, Host, LidarReading, Limits, Script, Step, Wait};
 
 pub struct Bench {
     pub now: LocalMicros,
@@ -23,6 +23,7 @@ pub struct Bench {
     pub held: bool,
     pub percent: u16,
     pub stopped: bool,
+    pub barriers: Vec<BarrierName>,
     /// Every command that ever came.
     pub commands: Vec<Command>,
 }
@@ -42,6 +43,7 @@ impl Default for Bench {
             held: false,
             percent: 100,
             stopped: false,
+            barriers: Vec::new(),
             commands: Vec::new(),
         }
     }
@@ -62,6 +64,17 @@ impl Host for Bench {
     }
     fn credit_commands(&self) -> usize {
         self.capacity - self.queue.len()
+    }
+    fn barrier(&mut self, name: BarrierName) -> Result<u16, BarrierError> {
+        let known = self.barriers.iter().position(|known| *known == name);
+        let number = known.unwrap_or(self.barriers.len());
+        if number >= 3 {
+            return Err(BarrierError::Many);
+        }
+        if known.is_none() {
+            self.barriers.push(name);
+        }
+        Ok(number as u16)
     }
     fn push(&mut self, commands: &[Command]) {
         assert!(commands.len() <= self.credit_commands(), "no more than fit");
