@@ -7,7 +7,7 @@
 use crate::{
     config::{EmulatorConfig, Recording},
     machine::Machine,
-    memory::RingMemory,
+    memory::{Borrower, RingMemory, take_plans},
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
     record::{InputEdge, Life, TakenCommand},
@@ -110,7 +110,7 @@ pub type InnerNode = Node<'static, VirtualRmt, Bench>;
 /// See the module.
 pub struct EmulatedNode {
     // Declared before `memory`, so dropped before the memory is handed on.
-    node: InnerNode,
+    node: Borrower,
     memory: RingMemory,
     config: EmulatorConfig,
     machine: Machine,
@@ -634,7 +634,7 @@ fn boot_node(
     input_levels: u32,
     boot: u32,
     boots: u64,
-) -> InnerNode {
+) -> Borrower {
     let seed = splitmix(config.seed.wrapping_add(boots));
     let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
     let watched = !config.machine.switches.is_empty();
@@ -651,7 +651,14 @@ fn boot_node(
         boot_script: config.boot_script,
         ..NodeConfig::new(config.name, boot)
     };
-    Node::new(memory.words(), backend, Bench::default(), node_config)
+    let node = Node::new(
+        memory.words(),
+        take_plans(),
+        backend,
+        Bench::default(),
+        node_config,
+    );
+    Borrower::from(node)
 }
 
 /// One step of splitmix64: well-mixed bits from any number.
