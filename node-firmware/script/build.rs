@@ -11,7 +11,7 @@ use std::{
 };
 
 /// Replacement of one line: file, what is there, what shall be there.
-const CHANGES: [(&str, &str, &str); 7] = [
+const CHANGES: [(&str, &str, &str); 8] = [
     // Each element of a table that is moved may go through a chain of tables.
     (
         "lvm.c",
@@ -46,6 +46,13 @@ const CHANGES: [(&str, &str, &str); 7] = [
         "lstrlib.c",
         "    char *p = luaL_buffinitsize(L, &b, totallen);\n    while (n-- > 1) {  /* first n-1 copies",
         "    char *p = luaL_buffinitsize(L, &b, totallen);\n    sf_charge(L, (size_t)n);\n    while (n-- > 1) {  /* first n-1 copies",
+    ),
+    // A node has no files. The sandbox takes these away as well; here they go for the linker's sake,
+    // for which a chip's C library has no files either.
+    (
+        "lbaselib.c",
+        "  {\"dofile\", luaB_dofile},\n  {\"error\", luaB_error},\n  {\"getmetatable\", luaB_getmetatable},\n  {\"ipairs\", luaB_ipairs},\n  {\"loadfile\", luaB_loadfile},\n",
+        "  {\"error\", luaB_error},\n  {\"getmetatable\", luaB_getmetatable},\n  {\"ipairs\", luaB_ipairs},\n",
     ),
     // Nothing of a script depends on an address or the date.
     (
@@ -137,11 +144,63 @@ fn main() {
         // The order of pairs and of a sort depends on nothing but the script.
         .define("luai_makeseed(L)", "0x5eedu")
         .define("l_randomizePivot()", "0x5eedu")
-        .opt_level(2)
-        .compile("stepfleet_lua");
+        .opt_level(2);
+    let bare = env::var("CARGO_CFG_TARGET_OS").expect("set by cargo") == "none";
+    if bare {
+        // One section for each function, so that the linker leaves out what nobody calls.
+        build
+            .opt_level_str("s")
+            .flag("-ffunction-sections")
+            .flag("-fdata-sections");
+        for flag in bare_flags() {
+            build.flag(flag);
+        }
+    }
+    build.compile("stepfleet_lua");
+    if bare {
+        link_bare_library(&build);
+    } else {
+        println!("cargo:rustc-link-lib=m");
+    }
     println!("cargo:rerun-if-changed=csrc");
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-link-lib=m");
+}
+
+/// Returns what the C compiler of a chip must be told to find its C library's headers: newlib is at
+/// home in Espressif's compiler for Xtensa, picolibc is a guest in Debian's for RISC-V.
+fn bare_flags() -> &'static [&'static str] {
+    match env::var("CARGO_CFG_TARGET_ARCH").as_deref() {
+        Ok("riscv32") => &["--specs=picolibc.specs"],
+        Ok("xtensa") => &["-mlongcalls"],
+        _ => &[],
+    }
+}
+
+/// Links the C library that belongs to this compiler and these flags: Lua needs `setjmp`, numbers
+/// to text and back, and mathematics.
+fn link_bare_library(build: &cc::Build) {
+    let compiler = build.get_compiler();
+    for library in ["c", "m"] {
+        let output = compiler
+            .to_command()
+            .arg(format!("-print-file-name=lib{library}.a"))
+            .output()
+            .expect("the compiler has just compiled Lua");
+        let path = PathBuf::from(String::from_utf8_lossy(&output.stdout).trim());
+        // What it does not find it names as it was asked; picolibc has no library of mathematics
+        // but an empty one.
+        let is_there = path.is_absolute() && path.exists();
+        assert!(
+            is_there || library == "m",
+            "this C compiler has no C library: {compiler:?}"
+        );
+        let size_bytes = fs::metadata(&path).map_or(0, |facts| facts.len());
+        if size_bytes > 1_000 {
+            let folder = path.parent().expect("a file is in a folder");
+            println!("cargo:rustc-link-search=native={}", folder.display());
+            println!("cargo:rustc-link-lib=static={library}");
+        }
+    }
 }
 
 fn replace_once(file: &str, text: &str, before: &str, after: &str) -> String {
