@@ -21,7 +21,7 @@ use node::{
     limits::{LINK_LOSS_AFTER_US_DEFAULT, RING_COMMANDS_DEFAULT},
 };
 pub use pico::session::Credentials;
-use std::ops::RangeInclusive;
+use std::{ops::RangeInclusive, path::PathBuf};
 
 /// What is kept for the oracle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,6 +68,8 @@ pub struct EmulatorConfig {
     pub script: script::Limits,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
+    /// Folder of its stored scripts; in memory by default. Wall clock only.
+    pub scripts: Option<PathBuf>,
     /// Router to connect to, `tcp/HOST:PORT`; on this machine by default. Wall clock only.
     pub connect: String,
     /// What the node's clock shows when it boots, µs; 0 by default. Wall clock only.
@@ -95,6 +97,7 @@ impl EmulatorConfig {
             record: Recording::default(),
             script: script::Limits::default(),
             boot_script: false,
+            scripts: None,
             connect: "tcp/127.0.0.1:7447".to_owned(),
             clock_offset_us: 0,
             clock_drift_ppb: 0,

@@ -11,6 +11,7 @@ use crate::{
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
     record::{InputEdge, Life, TakenCommand},
+    store::MemoryStore,
     vcd::VcdWriter,
 };
 use keys::{
@@ -21,7 +22,10 @@ use motion::{
     MotionConfig, StepBackend, TICKS_PER_US, Ticks,
     io::{enable::OutputChange, input::PinLevel},
 };
-use node::{Inbound, Node, NodeConfig, Outbound, Outputs, library::Library};
+use node::{
+    Inbound, Node, NodeConfig, Outbound, Outputs,
+    library::{Library, ScriptStore},
+};
 use std::{
     io::{self, Write},
     mem,
@@ -149,6 +153,14 @@ impl EmulatedNode {
     /// # Panics
     /// [`EmulatorConfig::check`] finds something wrong.
     pub fn new(config: EmulatorConfig, boot: u32) -> Self {
+        Self::with_store(config, boot, Box::<MemoryStore>::default())
+    }
+
+    /// Boots a node whose stored scripts are in this store.
+    ///
+    /// # Panics
+    /// [`EmulatorConfig::check`] finds something wrong.
+    pub fn with_store(config: EmulatorConfig, boot: u32, store: Box<dyn ScriptStore>) -> Self {
         if let Err(error) = config.check() {
             panic!("{error}");
         }
@@ -162,7 +174,7 @@ impl EmulatedNode {
             axis.is_some_and(|axis| axis.direction_inverted)
         });
         let machine = Machine::new(config.machine.clone(), is_active_low, inverted, config.seed);
-        Self {
+        let mut node = Self {
             node: boot_node(&memory, &config, machine.levels(), boot, 0),
             memory,
             machine,
@@ -181,7 +193,17 @@ impl EmulatedNode {
             past: Vec::new(),
             vcd: None,
             vcd_error: None,
-        }
+        };
+        node.open_store(store);
+        node
+    }
+
+    /// What a boot does with the stored scripts.
+    fn open_store(&mut self, store: Box<dyn ScriptStore>) {
+        let start = LocalMicros(0);
+        self.node.open_store(start, store);
+        self.node.run_boot_script(start);
+        self.observe(start);
     }
 
     /// Writes the pins of this boot as a value change dump from now on.
@@ -358,14 +380,13 @@ impl EmulatedNode {
         self.machine.reboot();
         self.looked_at = LocalMicros(0);
         let levels = self.machine.levels();
-        // What is stored stays, as in flash.
-        let library = mem::take(self.node.library_mut());
+        // What was saved stays, as in flash.
+        let store = self.node.library_mut().detach();
         self.node = boot_node(&self.memory, &self.config, levels, boot, self.boots);
-        *self.node.library_mut() = library;
-        self.node.run_boot_script(LocalMicros(0));
         self.boots += 1;
         self.lidar_due = None;
         self.shift_due = None;
+        self.open_store(store.expect("a node has its store since its boot"));
     }
 
     /// Returns what the node says about itself.

@@ -20,6 +20,7 @@ pub mod oracle;
 pub mod pins;
 pub mod pulse;
 pub mod record;
+pub mod store;
 pub mod vcd;
 pub mod wall;
 pub mod wiring;

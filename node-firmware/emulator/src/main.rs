@@ -25,6 +25,7 @@ use std::{
     emulator --nodes 8                        node-1 to node-8\n  \
     emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
     emulator --home 0:min@-300 --limit 0:max@5000   axis 0 can be homed, and has a limit\n  \
+    emulator --scripts scripts --boot-script  stored scripts in files; the one named boot runs at the start\n  \
     emulator --nodes 4 --check                judge every pulse; exit code 1 on a violation\n\n\
     Exit codes: 0 stopped by a signal, 1 --check found a violation or an error, 2 bad option.")]
 struct Args {
@@ -90,6 +91,15 @@ struct Args {
     /// What a node does when the link stays away for two seconds while it moves.
     #[arg(long, value_enum, default_value_t = OnLinkLoss::Decelerate)]
     link_loss: OnLinkLoss,
+
+    /// Folder for stored scripts: DIR/NODE/NAME.lua. They are there again after a restart. Without it
+    /// they last as long as the emulator.
+    #[arg(long, value_name = "DIR")]
+    scripts: Option<PathBuf>,
+
+    /// Run the stored script `boot` when a node starts. Without it no script starts by itself.
+    #[arg(long)]
+    boot_script: bool,
 
     /// User for a router that asks.
     #[arg(long, requires = "password_file")]
@@ -169,6 +179,8 @@ impl Args {
                     clock_offset_us: self.clock_offset_us,
                     clock_drift_ppb: (self.clock_drift_ppm * 1_000.0) as i64,
                     credentials: credentials.clone(),
+                    scripts: self.scripts.as_ref().map(|folder| folder.join(&name)),
+                    boot_script: self.boot_script,
                     ..EmulatorConfig::new(id)
                 };
                 config.machine.bounce_us_max = self.bounce_us;

@@ -9,10 +9,11 @@ use crate::{
     config::EmulatorConfig,
     emulated::{EmulatedNode, splitmix},
     record::Life,
+    store::{FolderStore, MemoryStore},
 };
 use embedded_io_adapters::tokio_1::FromTokio;
 use keys::{AxisId, LocalMicros, NodeId, Status};
-use node::{Inbound, run::NodeLink};
+use node::{Inbound, library::ScriptStore, run::NodeLink};
 use pico::{
     driver::{self, App, Connect, ConnectError, Next, Timer},
     session::{Session, SessionConfig},
@@ -44,6 +45,8 @@ pub enum SpawnError {
     Motion(motion::ConfigError),
     /// The ring holds no command.
     Ring,
+    /// The folder of the stored scripts cannot be made or read.
+    Scripts(String),
 }
 
 impl std::fmt::Display for SpawnError {
@@ -54,6 +57,7 @@ impl std::fmt::Display for SpawnError {
             }
             Self::Motion(error) => error.fmt(f),
             Self::Ring => write!(f, "the ring must hold at least one command"),
+            Self::Scripts(error) => write!(f, "the folder of stored scripts: {error}"),
         }
     }
 }
@@ -173,13 +177,21 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
     if config.ring_commands == 0 {
         return Err(SpawnError::Ring);
     }
+    let store: Box<dyn ScriptStore> = match &config.scripts {
+        None => Box::<MemoryStore>::default(),
+        Some(folder) => {
+            let store = FolderStore::open(folder);
+            let told = |error| SpawnError::Scripts(format!("{}: {error}", folder.display()));
+            Box::new(store.map_err(told)?)
+        }
+    };
     let shared = Arc::new(Shared {
         clock: Mutex::new(LocalClock::new(
             0,
             config.clock_offset_us,
             config.clock_drift_ppb,
         )),
-        node: Mutex::new(EmulatedNode::new(config, random() as u32)),
+        node: Mutex::new(EmulatedNode::with_store(config, random() as u32, store)),
         epoch: Instant::now(),
         touched: Notify::new(),
         rebooted: Notify::new(),

@@ -39,7 +39,7 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
-    library::Library,
+    library::{Library, ScriptStore},
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
     script::{Publication, Slot},
@@ -48,6 +48,7 @@ use crate::{
     trace::{Event, Trace},
 };
 use ::script::Limits;
+use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use keys::{
     Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
@@ -365,6 +366,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             .filter(|_| !self.link_loss_settled && !self.rests_at_barrier())
             .map(|gone_at| gone_at.plus_us(self.config.link_loss_after_us));
         let line = self.outbox.line_timeout().filter(|_| self.link_up());
+        let save = (self.stored.has_unsaved() && self.may_save()).then_some(self.now);
         [
             self.motion.poll_timeout().map(local_from_ticks),
             self.status_timeout(),
@@ -372,6 +374,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.script_timeout(),
             link_loss,
             line,
+            save,
         ]
         .into_iter()
         .flatten()
@@ -492,17 +495,59 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         &self.stored
     }
 
-    /// Stores a script, or removes it, and says so in the log.
+    /// Takes the stored scripts of the boots before, and saves changes to this store from now on. Call
+    /// it once, before anything else; then [`Node::run_boot_script`].
+    pub fn open_store(&mut self, now: LocalMicros, store: Box<dyn ScriptStore>) {
+        let now = self.advance_to(now);
+        if let Err(error) = self.stored.attach(store) {
+            self.log(now, format_args!("stored scripts: {error}"));
+        }
+    }
+
+    /// Stores a script, or removes it: in memory at once, for good as soon as nothing moves. The log
+    /// says so.
     pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
         let now = self.advance_to(now);
-        match text.map(|text| self.stored.put(name, text)) {
-            None => {
-                self.stored.remove(name);
-                self.log(now, format_args!("script {name} removed"));
+        let (result, word) = match text {
+            Some(text) => (self.stored.put(name, text), "stored"),
+            None => (self.stored.remove(name), "removed"),
+        };
+        match result {
+            Err(error) => self.log(now, format_args!("script {name} not {word}: {error}")),
+            Ok(()) if !self.stored.has_unsaved() => {
+                self.log(now, format_args!("script {name} {word}"));
             }
-            Some(Ok(())) => self.log(now, format_args!("script {name} stored")),
-            Some(Err(error)) => self.log(now, format_args!("script {name} not stored: {error}")),
+            Ok(()) if self.may_save() => {}
+            Ok(()) => self.log(
+                now,
+                format_args!("script {name} {word}; it is saved when nothing moves"),
+            ),
         }
+        self.settle(now);
+    }
+
+    /// Saves what waits for it, one script at a time: each may take long.
+    fn save_scripts(&mut self, now: LocalMicros) {
+        if !self.may_save() {
+            return;
+        }
+        let Some(saved) = self.stored.save_next() else {
+            return;
+        };
+        let name = &saved.name;
+        let word = if saved.removed { "removed" } else { "stored" };
+        match saved.result {
+            Ok(()) => self.log(now, format_args!("script {name} {word}")),
+            Err(error) => self.log(
+                now,
+                format_args!("script {name} {word} until the next start only: {error}"),
+            ),
+        }
+    }
+
+    /// Nothing moves, and nothing is about to.
+    fn may_save(&self) -> bool {
+        !self.motion.is_active()
     }
 
     /// Returns the stored scripts, to change them.
@@ -600,6 +645,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_due = true;
         }
         self.watch_start(now);
+        self.save_scripts(now);
         self.tell_credit(now);
         self.outbox.earn_line_tokens(now);
         let state = self.state();

@@ -1,11 +1,24 @@
-//! Scripts that are stored on the node, by name. In memory; a board keeps a copy in its flash and
-//! puts it back at its boot.
+//! Scripts that are stored on the node, by name: all of them in memory, and a copy in a
+//! [`ScriptStore`] that outlives a restart.
+//!
+//! ```text
+//!  put, delete ─▶ Library (memory) ─ unsaved names ─▶ ScriptStore (flash, a folder)
+//!                     ▲                 one at a time, while nothing moves │
+//!                     └──────────────────── load, at the start ◀───────────┘
+//! ```
+//!
+//! What is put counts at once and is saved when nothing moves, since a flash that is being written
+//! cannot be read. A log line says when it is safe. A power cut in between costs the change, not the
+//! text before it.
 
-use alloc::{string::String, vec::Vec};
+use alloc::{boxed::Box, string::String, vec::Vec};
 use keys::{NodeId, script::SCRIPT_BYTES_MAX};
 
 /// Most stored scripts.
 pub const STORED_MAX: usize = 32;
+
+/// Most changes that wait to be saved.
+pub const UNSAVED_MAX: usize = 2 * STORED_MAX;
 
 /// Why a script is not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +31,8 @@ pub enum StoreError {
     Text,
     /// There are [`STORED_MAX`] already.
     Full,
+    /// [`UNSAVED_MAX`] changes wait for the motion to end.
+    Busy,
 }
 
 impl core::fmt::Display for StoreError {
@@ -27,19 +42,106 @@ impl core::fmt::Display for StoreError {
             Self::Long => write!(f, "a script has at most {SCRIPT_BYTES_MAX} bytes"),
             Self::Text => write!(f, "the script is not UTF-8"),
             Self::Full => write!(f, "a node stores at most {STORED_MAX} scripts"),
+            Self::Busy => write!(f, "{UNSAVED_MAX} changes wait for the motion to end"),
         }
     }
 }
 
 impl core::error::Error for StoreError {}
 
+/// Why a store could not do it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SaveError {
+    /// There is no room.
+    Full,
+    /// The flash, or the folder, cannot be read or written.
+    Broken,
+}
+
+impl core::fmt::Display for SaveError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Full => "there is no room for it",
+            Self::Broken => "the store cannot be read or written",
+        })
+    }
+}
+
+impl core::error::Error for SaveError {}
+
+/// Where stored scripts outlive a restart: the flash of a board, a folder of a PC.
+///
+/// | call | when | contract |
+/// |---|---|---|
+/// | `load` | once, at the start, before anything moves | gives every script that is whole, in any order |
+/// | `save` | while nothing moves | afterwards, and after a power cut at any point in it, `load` gives the text before or this one |
+/// | `remove` | while nothing moves | a name that is not there is no error |
+///
+/// A call may take as long as it needs: the node does nothing else meanwhile.
+pub trait ScriptStore: core::fmt::Debug + Send {
+    /// Gives names and texts to `take`.
+    ///
+    /// # Errors
+    /// Some of it could not be read; what was given is good.
+    fn load(&mut self, take: &mut dyn FnMut(&str, &[u8])) -> Result<(), SaveError>;
+
+    /// Saves a script in place of one of the same name. Names are `[a-z0-9][a-z0-9_-]{0,31}`, texts
+    /// have at most [`SCRIPT_BYTES_MAX`] bytes of UTF-8, and there are at most [`STORED_MAX`].
+    ///
+    /// # Errors
+    /// It is not saved.
+    fn save(&mut self, name: &str, text: &[u8]) -> Result<(), SaveError>;
+
+    /// Removes a script.
+    ///
+    /// # Errors
+    /// It may be there again after a restart.
+    fn remove(&mut self, name: &str) -> Result<(), SaveError>;
+}
+
+/// One change that reached the store, or did not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Saved {
+    /// The script's name.
+    pub name: String,
+    /// Whether it was removed.
+    pub removed: bool,
+    /// How it went.
+    pub result: Result<(), SaveError>,
+}
+
 /// Scripts by name.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Library {
     scripts: Vec<(String, String)>,
+    store: Option<Box<dyn ScriptStore>>,
+    /// Names whose text, or absence, the store does not have yet, oldest first.
+    unsaved: Vec<String>,
 }
 
 impl Library {
+    /// Takes what a store holds, and saves changes to it from now on.
+    ///
+    /// # Errors
+    /// Some of it could not be read; the rest is here, and changes are saved all the same.
+    pub fn attach(&mut self, mut store: Box<dyn ScriptStore>) -> Result<(), SaveError> {
+        let mut result = Ok(());
+        let loaded = store.load(&mut |name, text| {
+            // What no node would have saved has come there by other ways.
+            if self.put_text(name, text).is_err() {
+                result = Err(SaveError::Broken);
+            }
+        });
+        self.store = Some(store);
+        loaded.and(result)
+    }
+
+    /// Gives the store back, for the next start. What was not saved is lost with this one.
+    pub fn detach(&mut self) -> Option<Box<dyn ScriptStore>> {
+        self.unsaved.clear();
+        self.store.take()
+    }
+
     /// Returns the text of this name.
     pub fn get(&self, name: &str) -> Option<&str> {
         let found = self.scripts.iter().find(|(stored, _)| stored == name);
@@ -51,6 +153,59 @@ impl Library {
     /// # Errors
     /// Why not; nothing has changed then.
     pub fn put(&mut self, name: &str, text: &[u8]) -> Result<(), StoreError> {
+        self.demand_room(name)?;
+        self.put_text(name, text)?;
+        self.note_unsaved(name);
+        Ok(())
+    }
+
+    /// Removes a script; one that is not there is no error.
+    ///
+    /// # Errors
+    /// Why not; nothing has changed then.
+    pub fn remove(&mut self, name: &str) -> Result<(), StoreError> {
+        if self.get(name).is_none() {
+            return Ok(());
+        }
+        self.demand_room(name)?;
+        self.scripts.retain(|(stored, _)| stored != name);
+        self.note_unsaved(name);
+        Ok(())
+    }
+
+    /// Gives names and texts, by name.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.scripts
+            .iter()
+            .map(|(name, text)| (name.as_str(), text.as_str()))
+    }
+
+    /// Returns whether [`Library::save_next`] has something to do.
+    pub fn has_unsaved(&self) -> bool {
+        !self.unsaved.is_empty()
+    }
+
+    /// Saves the oldest change, and tells how that went; `None` if there was none. One that fails is
+    /// not tried again: a flash that is worn out gets no better.
+    pub fn save_next(&mut self) -> Option<Saved> {
+        let store = self.store.as_mut()?;
+        if self.unsaved.is_empty() {
+            return None;
+        }
+        let name = self.unsaved.remove(0);
+        let text = self.scripts.iter().find(|(stored, _)| *stored == name);
+        let result = match text {
+            Some((_, text)) => store.save(&name, text.as_bytes()),
+            None => store.remove(&name),
+        };
+        Some(Saved {
+            removed: text.is_none(),
+            name,
+            result,
+        })
+    }
+
+    fn put_text(&mut self, name: &str, text: &[u8]) -> Result<(), StoreError> {
         NodeId::new(name).map_err(|_| StoreError::Name)?;
         if text.len() > SCRIPT_BYTES_MAX {
             return Err(StoreError::Long);
@@ -68,15 +223,17 @@ impl Library {
         Ok(())
     }
 
-    /// Removes a script; one that is not there is no error.
-    pub fn remove(&mut self, name: &str) {
-        self.scripts.retain(|(stored, _)| stored != name);
+    fn demand_room(&self, name: &str) -> Result<(), StoreError> {
+        let waits = self.unsaved.iter().any(|unsaved| unsaved == name);
+        if self.unsaved.len() >= UNSAVED_MAX && !waits {
+            return Err(StoreError::Busy);
+        }
+        Ok(())
     }
 
-    /// Gives names and texts, by name.
-    pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.scripts
-            .iter()
-            .map(|(name, text)| (name.as_str(), text.as_str()))
+    fn note_unsaved(&mut self, name: &str) {
+        if self.store.is_some() && !self.unsaved.iter().any(|unsaved| unsaved == name) {
+            self.unsaved.push(name.into());
+        }
     }
 }

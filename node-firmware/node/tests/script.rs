@@ -7,7 +7,12 @@ use keys::{
     AxisId, NodeState, NodeTopic, Order, Refusal, ScriptHeader, ScriptOutcome, ScriptReport,
     StopMode, Verdict, batch::ORDER_BYTES_MAX, version,
 };
+use node::library::{SaveError, ScriptStore, StoreError, UNSAVED_MAX};
 use rig::{Rig, batch_bytes, job, steps};
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, AtomicUsize, Ordering},
+};
 
 /// A node whose pulses can be judged.
 fn config() -> EmulatorConfig {
@@ -346,6 +351,103 @@ fn a_boot_script_runs_only_where_the_configuration_allows_it() {
         rig.node.node_mut().store_script(now, "boot", None);
         assert!(rig.node.node().library().iter().next().is_none());
     }
+}
+
+/// A store that counts, and fails when it is told to.
+#[derive(Clone, Debug, Default)]
+struct Shelf {
+    saves: Arc<AtomicUsize>,
+    fails: Arc<AtomicBool>,
+}
+
+impl ScriptStore for Shelf {
+    fn load(&mut self, take: &mut dyn FnMut(&str, &[u8])) -> Result<(), SaveError> {
+        take("good", b"return 'good'");
+        take("Not a name", b"");
+        take("not-utf8", &[0xff]);
+        Ok(())
+    }
+
+    fn save(&mut self, _: &str, _: &[u8]) -> Result<(), SaveError> {
+        self.saves.fetch_add(1, Ordering::Relaxed);
+        if self.fails.load(Ordering::Relaxed) {
+            return Err(SaveError::Full);
+        }
+        Ok(())
+    }
+
+    fn remove(&mut self, name: &str) -> Result<(), SaveError> {
+        self.save(name, b"")
+    }
+}
+
+#[test]
+fn stored_scripts_are_saved_only_while_nothing_moves() {
+    let shelf = Shelf::default();
+    let saves = || shelf.saves.load(Ordering::Relaxed);
+    let mut rig = Rig::with_store(config(), Box::new(shelf.clone()));
+    rig.run_for(1);
+    let library = rig.node.node().library();
+    assert_eq!(
+        library.iter().collect::<Vec<_>>(),
+        [("good", "return 'good'")]
+    );
+    assert!(
+        rig.lines()
+            .contains(&"stored scripts: the store cannot be read or written".into())
+    );
+    let store = |rig: &mut Rig, name: &str, text: Option<&[u8]>| {
+        let now = rig.now;
+        rig.node.node_mut().store_script(now, name, text);
+        rig.drain();
+    };
+    store(&mut rig, "a", Some(b"return 1"));
+    assert_eq!(saves(), 1);
+    assert_eq!(
+        rig.lines().last().map(String::as_str),
+        Some("script a stored")
+    );
+    // One that is not there costs no flash.
+    store(&mut rig, "none", None);
+    assert_eq!(saves(), 1);
+    let _ = rig.batch(&[steps(1_000)]);
+    for text in [b"return 2", b"return 3"] {
+        store(&mut rig, "a", Some(text));
+    }
+    store(&mut rig, "good", None);
+    rig.run_for(50_000);
+    assert_eq!(
+        (saves(), rig.node.node().library().get("a")),
+        (1, Some("return 3"))
+    );
+    rig.run_for(100_000);
+    assert_eq!(rig.position(), 1_000);
+    // The second text of `a` never had to be written.
+    assert_eq!(saves(), 3);
+    shelf.fails.store(true, Ordering::Relaxed);
+    store(&mut rig, "b", Some(b"return 4"));
+    rig.run_for(5_000_000);
+    let words = "script b stored until the next start only: there is no room for it";
+    assert_eq!(rig.lines().last().map(String::as_str), Some(words));
+    assert_eq!(saves(), 4);
+}
+
+#[test]
+fn changes_of_stored_scripts_during_a_motion_are_bounded() {
+    let mut rig = Rig::new(config());
+    let _ = rig.batch(&[steps(10_000)]);
+    for number in 0..UNSAVED_MAX {
+        let name = format!("s{number}");
+        let library = rig.node.node_mut().library_mut();
+        assert_eq!(library.put(&name, b""), Ok(()));
+        assert_eq!(library.remove(&name), Ok(()));
+    }
+    let library = rig.node.node_mut().library_mut();
+    assert_eq!(library.put("more", b""), Err(StoreError::Busy));
+    assert_eq!(library.put("s0", b"again"), Ok(()));
+    rig.run_for(5_000_000);
+    let library = rig.node.node_mut().library_mut();
+    assert_eq!(library.put("more", b""), Ok(()));
 }
 
 #[test]

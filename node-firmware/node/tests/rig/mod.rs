@@ -13,6 +13,7 @@ use keys::{
     batch::{BatchWriter, ORDER_BYTES_MAX},
     version,
 };
+use node::library::ScriptStore;
 
 /// The boot of every node on the bench.
 pub const BOOT: u32 = 7;
@@ -64,8 +65,17 @@ pub fn batch_bytes(header: BatchHeader, commands: &[Command]) -> Vec<u8> {
 impl Rig {
     /// A node with its link up and its first status taken.
     pub fn new(config: EmulatorConfig) -> Self {
+        Self::with_node(EmulatedNode::new(config, BOOT))
+    }
+
+    /// The same, with its stored scripts in this store.
+    pub fn with_store(config: EmulatorConfig, store: Box<dyn ScriptStore>) -> Self {
+        Self::with_node(EmulatedNode::with_store(config, BOOT, store))
+    }
+
+    fn with_node(node: EmulatedNode) -> Self {
         let mut rig = Self {
-            node: EmulatedNode::new(config, BOOT),
+            node,
             now: LocalMicros(0),
             sent: Vec::new(),
         };
