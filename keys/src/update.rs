@@ -79,6 +79,12 @@ pub enum UpdateRefusal {
     Hash,
     /// The flash did not take it.
     Flash,
+    /// The firmware that runs is on trial itself: it has not reached the router for long enough.
+    OnTrial,
+    /// This node has no slots for images.
+    NoSlot,
+    /// The question was none of these messages.
+    Message,
 }
 
 /// 64 bytes, which serde has no array for.

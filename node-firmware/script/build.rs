@@ -180,28 +180,30 @@ fn bare_flags() -> &'static [&'static str] {
 /// to text and back, and mathematics.
 fn link_bare_library(build: &cc::Build) {
     let compiler = build.get_compiler();
-    for library in ["c", "m"] {
-        let output = compiler
-            .to_command()
-            .arg(format!("-print-file-name=lib{library}.a"))
-            .output()
-            .expect("the compiler has just compiled Lua");
-        let path = PathBuf::from(String::from_utf8_lossy(&output.stdout).trim());
-        // What it does not find it names as it was asked; picolibc has no library of mathematics
-        // but an empty one.
-        let is_there = path.is_absolute() && path.exists();
-        assert!(
-            is_there || library == "m",
-            "this C compiler has no C library: {compiler:?}"
-        );
-        let size_bytes = fs::metadata(&path).map_or(0, |facts| facts.len());
-        if size_bytes > 1_000 {
-            let folder = path.parent().expect("a file is in a folder");
-            println!("cargo:rustc-link-search=native={}", folder.display());
-            println!("cargo:rustc-link-lib=static={library}");
-        }
+    let asked = |question: &str| {
+        let output = compiler.to_command().arg(question).output();
+        let output = output.expect("the compiler has just compiled Lua");
+        String::from_utf8_lossy(&output.stdout).trim().to_owned()
+    };
+    // Debian's picolibc lies beside the compiler's own folders; what a compiler does not find it
+    // names as it was asked.
+    let guest = Path::new(PICOLIBC).join(asked("-print-multi-directory"));
+    let home = PathBuf::from(asked("-print-file-name=libc.a"));
+    let home = home.parent().unwrap_or(Path::new(""));
+    let folder = [home, &guest]
+        .into_iter()
+        .find(|folder| folder.is_absolute() && folder.join("libc.a").exists())
+        .unwrap_or_else(|| panic!("this C compiler has no C library: {compiler:?}"));
+    println!("cargo:rustc-link-search=native={}", folder.display());
+    println!("cargo:rustc-link-lib=static=c");
+    // picolibc's mathematics are in the same file; its libm.a is empty, which no linker takes.
+    if folder == home {
+        println!("cargo:rustc-link-lib=static=m");
     }
 }
+
+/// Where Debian's picolibc is, one folder for each kind of processor.
+const PICOLIBC: &str = "/usr/lib/picolibc/riscv64-unknown-elf/lib";
 
 fn replace_once(file: &str, text: &str, before: &str, after: &str) -> String {
     assert_eq!(

@@ -6,6 +6,7 @@
 
 use crate::{
     config::{EmulatorConfig, Recording},
+    firmware::{self, BootLoader, EmulatedKeeper},
     machine::Machine,
     memory::{Borrower, RingMemory, take_plans},
     pins::{Pin, PinEvent},
@@ -17,6 +18,7 @@ use crate::{
 use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
     command::COMMAND_WORDS,
+    update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
 use motion::{
     MotionConfig, StepBackend, TICKS_PER_US, Ticks,
@@ -108,6 +110,9 @@ impl Outputs for Bench {
     }
 }
 
+/// Version of the firmware from the factory.
+pub const FIRMWARE: [u8; 3] = [0, 1, 0];
+
 /// The node inside an [`EmulatedNode`].
 pub type InnerNode = Node<'static, VirtualRmt, Bench>;
 
@@ -121,6 +126,10 @@ pub struct EmulatedNode {
     /// Up to when the machine was looked at.
     looked_at: LocalMicros,
     boots: u64,
+    /// Takes other firmware; `None` without a flash.
+    keeper: Option<EmulatedKeeper>,
+    /// The firmware wants to boot again.
+    wants_restart: bool,
     lidar_due: Option<LocalMicros>,
     /// What the shift register shows, and when that is read back.
     shift_due: Option<(LocalMicros, u32)>,
@@ -181,6 +190,8 @@ impl EmulatedNode {
             looked_at: LocalMicros(0),
             config,
             boots: 1,
+            keeper: None,
+            wants_restart: false,
             lidar_due: None,
             shift_due: None,
             shift_errors: 0,
@@ -194,8 +205,40 @@ impl EmulatedNode {
             vcd: None,
             vcd_error: None,
         };
+        node.boot_firmware();
         node.open_store(store);
         node
+    }
+
+    /// What a boot does with the slots.
+    fn boot_firmware(&mut self) {
+        let Some(flash) = &self.config.flash else {
+            return;
+        };
+        self.wants_restart = false;
+        self.keeper = firmware::boot(flash, self.config.update_key, 0)
+            .inspect_err(|error| tracing::error!("{}: {error}", self.config.name))
+            .ok();
+    }
+
+    /// Returns what takes other firmware, `None` without a flash.
+    pub fn keeper(&self) -> Option<&EmulatedKeeper> {
+        self.keeper.as_ref()
+    }
+
+    /// Returns whether the firmware wants to boot again: call [`EmulatedNode::reset`].
+    pub fn wants_restart(&self) -> bool {
+        self.wants_restart
+    }
+
+    /// Takes a message about another firmware.
+    pub fn update(&mut self, message: &UpdateMessage<'_>, now: LocalMicros) -> UpdateReply {
+        self.look(now);
+        let moves = self.node.motion().is_active();
+        match self.keeper.as_mut() {
+            Some(keeper) => keeper.handle(message, moves, now.0),
+            None => UpdateReply::Refused(UpdateRefusal::NoSlot),
+        }
     }
 
     /// What a boot does with the stored scripts.
@@ -336,6 +379,12 @@ impl EmulatedNode {
         }
         self.node.poll(now);
         self.observe(now);
+        if let Some(keeper) = self.keeper.as_mut() {
+            if self.node.link_up() {
+                keeper.link_up();
+            }
+            self.wants_restart |= keeper.poll(now.0, self.node.motion().is_active());
+        }
     }
 
     /// Disturbs the shift register: the next so many words that are read back are wrong.
@@ -346,10 +395,17 @@ impl EmulatedNode {
     /// Returns when [`EmulatedNode::poll`] has something to do next.
     pub fn poll_timeout(&self) -> Option<LocalMicros> {
         let shift_due = self.shift_due.map(|(due, _)| due);
-        [self.node.poll_timeout(), self.lidar_due, shift_due]
-            .into_iter()
-            .flatten()
-            .min()
+        let firmware = self.keeper.as_ref().and_then(EmulatedKeeper::poll_timeout);
+        let firmware = firmware.filter(|_| !self.wants_restart).map(LocalMicros);
+        [
+            self.node.poll_timeout(),
+            self.lidar_due,
+            shift_due,
+            firmware,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 
     /// Gives the next message that leaves; `None` if there is none or no link.
@@ -386,6 +442,7 @@ impl EmulatedNode {
         self.boots += 1;
         self.lidar_due = None;
         self.shift_due = None;
+        self.boot_firmware();
         self.open_store(store.expect("a node has its store since its boot"));
     }
 
@@ -647,6 +704,10 @@ impl node::run::Host for EmulatedNode {
     fn library(&self) -> &Library {
         self.node.library()
     }
+
+    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
+        EmulatedNode::update(self, message, now)
+    }
 }
 
 fn boot_node(
@@ -670,6 +731,11 @@ fn boot_node(
         link_loss_after_us: config.link_loss_after_us,
         script: config.script,
         boot_script: config.boot_script,
+        firmware: config
+            .flash
+            .as_ref()
+            .and_then(|flash| BootLoader::boot(flash).version(flash))
+            .unwrap_or(FIRMWARE),
         ..NodeConfig::new(config.name, boot)
     };
     let node = Node::new(
