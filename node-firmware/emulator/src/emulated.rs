@@ -110,9 +110,6 @@ impl Outputs for Bench {
     }
 }
 
-/// Version of the firmware from the factory.
-pub const FIRMWARE: [u8; 3] = [0, 1, 0];
-
 /// The node inside an [`EmulatedNode`].
 pub type InnerNode = Node<'static, VirtualRmt, Bench>;
 
@@ -731,11 +728,9 @@ fn boot_node(
         link_loss_after_us: config.link_loss_after_us,
         script: config.script,
         boot_script: config.boot_script,
-        firmware: config
-            .flash
-            .as_ref()
-            .and_then(|flash| BootLoader::boot(flash).version(flash))
-            .unwrap_or(FIRMWARE),
+        firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
+            BootLoader::boot(flash).version(flash)
+        }),
         ..NodeConfig::new(config.name, boot)
     };
     let node = Node::new(

@@ -9,6 +9,9 @@ use crate::flash::Flash;
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use update::{Keeper, Layout, Loader, Place, Region, TrialError, layout};
 
+/// Version of the firmware from the factory.
+pub const FACTORY: [u8; 3] = [0, 1, 0];
+
 /// What takes images on an emulated board.
 pub type EmulatedKeeper = Keeper<Flash, BootLoader>;
 
@@ -55,9 +58,9 @@ impl BootLoader {
         Self { note, running }
     }
 
-    /// Returns the version of the image that runs, `None` for the one from the factory.
-    pub fn version(&self, flash: &Flash) -> Option<[u8; 3]> {
-        version_of(flash, layout::SLOTS[usize::from(self.running)])
+    /// Returns the version of the image that runs.
+    pub fn version(&self, flash: &Flash) -> [u8; 3] {
+        version_of(flash, layout::SLOTS[usize::from(self.running)]).unwrap_or(FACTORY)
     }
 }
 
@@ -137,7 +140,8 @@ pub(crate) fn boot(
     now_us: u64,
 ) -> Result<EmulatedKeeper, TrialError> {
     let loader = BootLoader::boot(flash);
-    Keeper::boot(flash.clone(), Layout::BOARD, loader, key, now_us)
+    let version = loader.version(flash);
+    Keeper::boot(flash.clone(), Layout::BOARD, loader, version, key, now_us)
 }
 
 #[cfg(test)]

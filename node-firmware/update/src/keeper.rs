@@ -63,6 +63,7 @@ pub struct Keeper<F, L> {
     trial: Trial<Region<F>>,
     loader: L,
     running: u8,
+    version: [u8; 3],
     /// When a trial has failed; `None`: it is none, or has succeeded.
     trial_ends_us: Option<u64>,
     /// The router was reached on trial, and the journal does not say so yet.
@@ -71,7 +72,8 @@ pub struct Keeper<F, L> {
 }
 
 impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
-    /// Begins a boot. `key` is the public key that images must be signed with.
+    /// Begins a boot of firmware of this version. `key` is the public key that images must be signed
+    /// with.
     ///
     /// # Errors
     /// The journal cannot be read or written. The node runs on as it is, without updates.
@@ -79,6 +81,7 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
         flash: F,
         layout: Layout,
         mut loader: L,
+        version: [u8; 3],
         key: Option<[u8; 32]>,
         now_us: u64,
     ) -> Result<Self, TrialError> {
@@ -91,6 +94,7 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
             trial,
             loader,
             running,
+            version,
             trial_ends_us: match boot {
                 Boot::Run => None,
                 Boot::OnTrial => Some(now_us.saturating_add(TRIAL_US)),
@@ -114,6 +118,13 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
 
     /// Takes a message. `moves`: something moves, so the flash must not be touched.
     pub fn handle(&mut self, message: &UpdateMessage<'_>, moves: bool, now_us: u64) -> UpdateReply {
+        if *message == UpdateMessage::Look {
+            return UpdateReply::Runs {
+                version: self.version,
+                slot: self.running,
+                on_trial: self.is_on_trial(),
+            };
+        }
         if self.is_on_trial() {
             // The other slot is the way back.
             return UpdateReply::Refused(UpdateRefusal::OnTrial);
