@@ -15,6 +15,7 @@
 //! | `report` | [`ScriptReport`](crate::ScriptReport) | node → gateway | data-high | block; said again until it is seen |
 //! | `data` | JSON, on `data/SUFFIX`: what a script publishes | node → client | data | drop |
 //! | `alive` | none | node → all, liveliness token | – | – |
+//! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
 
 /// What is said below one node's key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -45,11 +46,13 @@ pub enum NodeTopic {
     Report,
     /// What a script publishes.
     Data,
+    /// Another firmware.
+    Update,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -63,6 +66,7 @@ impl NodeTopic {
         Self::Alive,
         Self::Report,
         Self::Data,
+        Self::Update,
     ];
 
     /// Returns the last chunk of the key.
@@ -81,6 +85,7 @@ impl NodeTopic {
             Self::Alive => "alive",
             Self::Report => "report",
             Self::Data => "data",
+            Self::Update => "update",
         }
     }
 

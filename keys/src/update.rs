@@ -44,6 +44,8 @@ pub enum UpdateMessage<'b> {
     Finish,
     /// Forget it.
     Abandon,
+    /// What runs?
+    Look,
 }
 
 /// What the node answers.
@@ -58,6 +60,15 @@ pub enum UpdateReply {
     Ready,
     /// It is not.
     Refused(UpdateRefusal),
+    /// The answer to [`UpdateMessage::Look`].
+    Runs {
+        /// Version of the firmware.
+        version: [u8; 3],
+        /// The slot that it lies in, 0 or 1.
+        slot: u8,
+        /// It has not proved itself yet.
+        on_trial: bool,
+    },
 }
 
 /// Why an image is not taken.
@@ -79,6 +90,30 @@ pub enum UpdateRefusal {
     Hash,
     /// The flash did not take it.
     Flash,
+    /// The firmware that runs is on trial itself: it has not reached the router for long enough.
+    OnTrial,
+    /// This node has no slots for images.
+    NoSlot,
+    /// The question was none of these messages.
+    Message,
+}
+
+impl core::fmt::Display for UpdateRefusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Moving => "it moves, and the flash cannot be written meanwhile",
+            Self::NoKey => "it was given no key for images: `fleet provision --update-key-file`",
+            Self::Signature => "the image is not signed with the key that it was given",
+            Self::Size => "the image is empty or larger than a slot",
+            Self::NotBegun => "it has forgotten the image: it was restarted",
+            Self::Chunk => "a part of the image has a size that it cannot take",
+            Self::Hash => "its flash does not hold what was sent",
+            Self::Flash => "its flash does not take the image",
+            Self::OnTrial => "its firmware is on trial itself",
+            Self::NoSlot => "it has no slots for images",
+            Self::Message => "it does not understand this message",
+        })
+    }
 }
 
 /// 64 bytes, which serde has no array for.

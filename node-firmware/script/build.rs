@@ -11,7 +11,7 @@ use std::{
 };
 
 /// Replacement of one line: file, what is there, what shall be there.
-const CHANGES: [(&str, &str, &str); 7] = [
+const CHANGES: [(&str, &str, &str); 8] = [
     // Each element of a table that is moved may go through a chain of tables.
     (
         "lvm.c",
@@ -46,6 +46,13 @@ const CHANGES: [(&str, &str, &str); 7] = [
         "lstrlib.c",
         "    char *p = luaL_buffinitsize(L, &b, totallen);\n    while (n-- > 1) {  /* first n-1 copies",
         "    char *p = luaL_buffinitsize(L, &b, totallen);\n    sf_charge(L, (size_t)n);\n    while (n-- > 1) {  /* first n-1 copies",
+    ),
+    // A node has no files. The sandbox takes these away as well; here they go for the linker's sake,
+    // for which a chip's C library has no files either.
+    (
+        "lbaselib.c",
+        "  {\"dofile\", luaB_dofile},\n  {\"error\", luaB_error},\n  {\"getmetatable\", luaB_getmetatable},\n  {\"ipairs\", luaB_ipairs},\n  {\"loadfile\", luaB_loadfile},\n",
+        "  {\"error\", luaB_error},\n  {\"getmetatable\", luaB_getmetatable},\n  {\"ipairs\", luaB_ipairs},\n",
     ),
     // Nothing of a script depends on an address or the date.
     (
@@ -137,12 +144,66 @@ fn main() {
         // The order of pairs and of a sort depends on nothing but the script.
         .define("luai_makeseed(L)", "0x5eedu")
         .define("l_randomizePivot()", "0x5eedu")
-        .opt_level(2)
-        .compile("stepfleet_lua");
+        .opt_level(2);
+    let bare = env::var("CARGO_CFG_TARGET_OS").expect("set by cargo") == "none";
+    if bare {
+        // One section for each function, so that the linker leaves out what nobody calls.
+        build
+            .opt_level_str("s")
+            .flag("-ffunction-sections")
+            .flag("-fdata-sections");
+        for flag in bare_flags() {
+            build.flag(flag);
+        }
+    }
+    build.compile("stepfleet_lua");
+    if bare {
+        link_bare_library(&build);
+    } else {
+        println!("cargo:rustc-link-lib=m");
+    }
     println!("cargo:rerun-if-changed=csrc");
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-link-lib=m");
 }
+
+/// Returns what the C compiler of a chip must be told to find its C library's headers: newlib is at
+/// home in Espressif's compiler for Xtensa, picolibc is a guest in Debian's for RISC-V.
+fn bare_flags() -> &'static [&'static str] {
+    match env::var("CARGO_CFG_TARGET_ARCH").as_deref() {
+        Ok("riscv32") => &["--specs=picolibc.specs"],
+        Ok("xtensa") => &["-mlongcalls"],
+        _ => &[],
+    }
+}
+
+/// Links the C library that belongs to this compiler and these flags: Lua needs `setjmp`, numbers
+/// to text and back, and mathematics.
+fn link_bare_library(build: &cc::Build) {
+    let compiler = build.get_compiler();
+    let asked = |question: &str| {
+        let output = compiler.to_command().arg(question).output();
+        let output = output.expect("the compiler has just compiled Lua");
+        String::from_utf8_lossy(&output.stdout).trim().to_owned()
+    };
+    // Debian's picolibc lies beside the compiler's own folders; what a compiler does not find it
+    // names as it was asked.
+    let guest = Path::new(PICOLIBC).join(asked("-print-multi-directory"));
+    let home = PathBuf::from(asked("-print-file-name=libc.a"));
+    let home = home.parent().unwrap_or(Path::new(""));
+    let folder = [home, &guest]
+        .into_iter()
+        .find(|folder| folder.is_absolute() && folder.join("libc.a").exists())
+        .unwrap_or_else(|| panic!("this C compiler has no C library: {compiler:?}"));
+    println!("cargo:rustc-link-search=native={}", folder.display());
+    println!("cargo:rustc-link-lib=static=c");
+    // picolibc's mathematics are in the same file; its libm.a is empty, which no linker takes.
+    if folder == home {
+        println!("cargo:rustc-link-lib=static=m");
+    }
+}
+
+/// Where Debian's picolibc is, one folder for each kind of processor.
+const PICOLIBC: &str = "/usr/lib/picolibc/riscv64-unknown-elf/lib";
 
 fn replace_once(file: &str, text: &str, before: &str, after: &str) -> String {
     assert_eq!(

@@ -1,5 +1,6 @@
 //! Every setting of an emulated node, with unit and default.
 
+use crate::flash::Flash;
 use crate::{
     machine::{MachineConfig, MachineSwitch},
     pins::{CARRIAGE_C, CARRIAGE_D},
@@ -78,6 +79,10 @@ pub struct EmulatorConfig {
     pub clock_drift_ppb: i64,
     /// For a router that asks; none by default. Wall clock only.
     pub credentials: Option<Credentials>,
+    /// Flash with slots for images; none by default.
+    pub flash: Option<Flash>,
+    /// Public key (ed25519) that images must be signed with; none by default: none is taken.
+    pub update_key: Option<[u8; 32]>,
 }
 
 impl EmulatorConfig {
@@ -102,6 +107,8 @@ impl EmulatorConfig {
             clock_offset_us: 0,
             clock_drift_ppb: 0,
             credentials: None,
+            flash: None,
+            update_key: None,
         }
     }
 

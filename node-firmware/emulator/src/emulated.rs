@@ -6,8 +6,9 @@
 
 use crate::{
     config::{EmulatorConfig, Recording},
+    firmware::{self, BootLoader, EmulatedKeeper},
     machine::Machine,
-    memory::RingMemory,
+    memory::{Borrower, RingMemory, take_plans},
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
     record::{Held, InputEdge, Life, TakenCommand},
@@ -17,6 +18,7 @@ use crate::{
 use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
     command::COMMAND_WORDS,
+    update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
 use motion::{
     MotionConfig, StepBackend, TICKS_PER_US, Ticks,
@@ -114,13 +116,17 @@ pub type InnerNode = Node<'static, VirtualRmt, Bench>;
 /// See the module.
 pub struct EmulatedNode {
     // Declared before `memory`, so dropped before the memory is handed on.
-    node: InnerNode,
+    node: Borrower,
     memory: RingMemory,
     config: EmulatorConfig,
     machine: Machine,
     /// Up to when the machine was looked at.
     looked_at: LocalMicros,
     boots: u64,
+    /// Takes other firmware; `None` without a flash.
+    keeper: Option<EmulatedKeeper>,
+    /// The firmware wants to boot again.
+    wants_restart: bool,
     lidar_due: Option<LocalMicros>,
     /// What the shift register shows, and when that is read back.
     shift_due: Option<(LocalMicros, u32)>,
@@ -182,6 +188,8 @@ impl EmulatedNode {
             looked_at: LocalMicros(0),
             config,
             boots: 1,
+            keeper: None,
+            wants_restart: false,
             lidar_due: None,
             shift_due: None,
             shift_errors: 0,
@@ -196,8 +204,40 @@ impl EmulatedNode {
             vcd: None,
             vcd_error: None,
         };
+        node.boot_firmware();
         node.open_store(store);
         node
+    }
+
+    /// What a boot does with the slots.
+    fn boot_firmware(&mut self) {
+        let Some(flash) = &self.config.flash else {
+            return;
+        };
+        self.wants_restart = false;
+        self.keeper = firmware::boot(flash, self.config.update_key, 0)
+            .inspect_err(|error| tracing::error!("{}: {error}", self.config.name))
+            .ok();
+    }
+
+    /// Returns what takes other firmware, `None` without a flash.
+    pub fn keeper(&self) -> Option<&EmulatedKeeper> {
+        self.keeper.as_ref()
+    }
+
+    /// Returns whether the firmware wants to boot again: call [`EmulatedNode::reset`].
+    pub fn wants_restart(&self) -> bool {
+        self.wants_restart
+    }
+
+    /// Takes a message about another firmware.
+    pub fn update(&mut self, message: &UpdateMessage<'_>, now: LocalMicros) -> UpdateReply {
+        self.look(now);
+        let moves = self.node.motion().is_active();
+        match self.keeper.as_mut() {
+            Some(keeper) => keeper.handle(message, moves, now.0),
+            None => UpdateReply::Refused(UpdateRefusal::NoSlot),
+        }
     }
 
     /// What a boot does with the stored scripts.
@@ -338,6 +378,12 @@ impl EmulatedNode {
         }
         self.node.poll(now);
         self.observe(now);
+        if let Some(keeper) = self.keeper.as_mut() {
+            if self.node.link_up() {
+                keeper.link_up();
+            }
+            self.wants_restart |= keeper.poll(now.0, self.node.motion().is_active());
+        }
     }
 
     /// Disturbs the shift register: the next so many words that are read back are wrong.
@@ -348,10 +394,17 @@ impl EmulatedNode {
     /// Returns when [`EmulatedNode::poll`] has something to do next.
     pub fn poll_timeout(&self) -> Option<LocalMicros> {
         let shift_due = self.shift_due.map(|(due, _)| due);
-        [self.node.poll_timeout(), self.lidar_due, shift_due]
-            .into_iter()
-            .flatten()
-            .min()
+        let firmware = self.keeper.as_ref().and_then(EmulatedKeeper::poll_timeout);
+        let firmware = firmware.filter(|_| !self.wants_restart).map(LocalMicros);
+        [
+            self.node.poll_timeout(),
+            self.lidar_due,
+            shift_due,
+            firmware,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 
     /// Gives the next message that leaves; `None` if there is none or no link.
@@ -388,6 +441,7 @@ impl EmulatedNode {
         self.boots += 1;
         self.lidar_due = None;
         self.shift_due = None;
+        self.boot_firmware();
         self.open_store(store.expect("a node has its store since its boot"));
     }
 
@@ -672,6 +726,10 @@ impl node::run::Host for EmulatedNode {
     fn library(&self) -> &Library {
         self.node.library()
     }
+
+    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
+        EmulatedNode::update(self, message, now)
+    }
 }
 
 fn boot_node(
@@ -680,7 +738,7 @@ fn boot_node(
     input_levels: u32,
     boot: u32,
     boots: u64,
-) -> InnerNode {
+) -> Borrower {
     let seed = splitmix(config.seed.wrapping_add(boots));
     let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
     let watched = !config.machine.switches.is_empty();
@@ -695,9 +753,19 @@ fn boot_node(
         link_loss_after_us: config.link_loss_after_us,
         script: config.script,
         boot_script: config.boot_script,
+        firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
+            BootLoader::boot(flash).version(flash)
+        }),
         ..NodeConfig::new(config.name, boot)
     };
-    Node::new(memory.words(), backend, Bench::default(), node_config)
+    let node = Node::new(
+        memory.words(),
+        take_plans(),
+        backend,
+        Bench::default(),
+        node_config,
+    );
+    Borrower::from(node)
 }
 
 /// One step of splitmix64: well-mixed bits from any number.

@@ -15,6 +15,8 @@ pub mod cd;
 pub mod clock;
 pub mod config;
 pub mod emulated;
+pub mod firmware;
+pub mod flash;
 pub mod kinematics;
 pub mod oracle;
 pub mod pins;

@@ -1,12 +1,17 @@
-//! Memory of command rings.
+//! Memory of command rings and of plans.
 //!
-//! A ring borrows its memory for as long as its node lives, and an emulated node owns both. Safe
-//! Rust has no such owner, so the memory is never freed but handed on: a dropped node gives it
-//! to the next one of the same size. A process keeps as many rings as it ever had at a time.
+//! A node borrows its memory for as long as it lives, and an emulated node owns both. Safe Rust has
+//! no such owner, so the memory is never freed but handed on: a dropped node gives it to the next
+//! one of the same size. A process keeps as much as it ever had at a time.
 
-use std::sync::{
-    Mutex, PoisonError,
-    atomic::{AtomicU32, Ordering},
+use crate::emulated::InnerNode;
+use motion::{PlanMemory, Plans};
+use std::{
+    ops::{Deref, DerefMut},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicU32, Ordering},
+    },
 };
 
 static FREE: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
@@ -42,5 +47,50 @@ impl Drop for RingMemory {
         FREE.lock()
             .unwrap_or_else(PoisonError::into_inner)
             .push(self.0);
+    }
+}
+
+static FREE_PLANS: Mutex<Vec<Plans<'static>>> = Mutex::new(Vec::new());
+
+/// Lends memory for plans; a [`Borrower`] gives it back.
+pub(crate) fn take_plans() -> Plans<'static> {
+    let free = FREE_PLANS
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .pop();
+    free.unwrap_or_else(|| Box::leak(Box::new(PlanMemory::new())).plans())
+}
+
+/// A node whose memory for plans is handed on when it is dropped.
+pub(crate) struct Borrower(Option<InnerNode>);
+
+impl From<InnerNode> for Borrower {
+    fn from(node: InnerNode) -> Self {
+        Self(Some(node))
+    }
+}
+
+impl Deref for Borrower {
+    type Target = InnerNode;
+
+    fn deref(&self) -> &InnerNode {
+        self.0.as_ref().expect("only a drop takes it")
+    }
+}
+
+impl DerefMut for Borrower {
+    fn deref_mut(&mut self) -> &mut InnerNode {
+        self.0.as_mut().expect("only a drop takes it")
+    }
+}
+
+impl Drop for Borrower {
+    fn drop(&mut self) {
+        if let Some(node) = self.0.take() {
+            FREE_PLANS
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(node.into_plans());
+        }
     }
 }

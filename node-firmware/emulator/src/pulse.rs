@@ -29,7 +29,7 @@ use crate::{
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, CdBackend, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
+    Axis, CdBackend, Direction, Fill, StepBackend, Symbol, TICKS_PER_US, Ticks,
     limits::{CHANNEL_WORDS, CHANNELS, REFILL_WORDS},
 };
 
@@ -245,7 +245,7 @@ impl VirtualRmt {
         Self {
             config,
             random: splitmix(seed),
-            axes: std::array::from_fn(|_| Axis::new(AxisProfile::default())),
+            axes: std::array::from_fn(|_| Axis::new()),
             channels: std::array::from_fn(|_| Channel::new()),
             now: 0,
             fault: None,

@@ -85,6 +85,19 @@ impl Shared {
         self.clock.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Cuts the power and boots again.
+    fn reset(&self) {
+        {
+            let mut node = self.node();
+            let config = node.config();
+            let real_us = self.real_us();
+            let clock = LocalClock::new(real_us, config.clock_offset_us, config.clock_drift_ppb);
+            *self.clock() = clock;
+            node.reset(random() as u32);
+        }
+        self.rebooted.notify_one();
+    }
+
     fn real_us(&self) -> u64 {
         u64::try_from(self.epoch.elapsed().as_micros()).unwrap_or(u64::MAX)
     }
@@ -147,6 +160,11 @@ impl App for NodeApp {
             return Next::default();
         }
         let wake_at = self.link.exchange(&mut *node, session, LocalMicros(now_us));
+        if node.wants_restart() {
+            drop(node);
+            self.shared.reset();
+            return Next::default();
+        }
         Next {
             wake_at_us: wake_at.map(|at| at.0),
             quit: self.shared.quit.load(Ordering::Relaxed),
@@ -321,15 +339,7 @@ impl EmulatedHandle {
     /// Cuts the power and boots again: everything in its memory is lost, the link breaks without a
     /// word.
     pub fn reset(&self) {
-        {
-            let mut node = self.shared.node();
-            let config = node.config();
-            let real_us = self.shared.real_us();
-            let clock = LocalClock::new(real_us, config.clock_offset_us, config.clock_drift_ppb);
-            *self.shared.clock() = clock;
-            node.reset(random() as u32);
-        }
-        self.shared.rebooted.notify_one();
+        self.shared.reset();
     }
 
     /// Ends the node with an orderly close of its session and gives the records of its boots.

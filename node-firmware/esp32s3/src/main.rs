@@ -43,10 +43,10 @@ use esp_storage::FlashStorage;
 use esp_wifi::wifi::{ControllerConfig, Interface, WifiController};
 use heapless::spsc::Queue;
 use keys::Keys;
-use motion::{AxisProfile, MotionConfig};
+use motion::{AxisProfile, MotionConfig, PlanMemory};
 use node::{Node, NodeConfig, Outbound};
 use provision::{Dialogue, Record, Store};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
@@ -60,8 +60,8 @@ const HEAP_BYTES: usize = 96 * 1024;
 #[cfg(not(feature = "psram"))]
 const HEAP_BYTES: usize = 64 * 1024;
 
-/// Stack of the second core: the streamer's 16 KiB are put together on it, twice over, and planning
-/// a look-ahead of lines takes some 10 KiB.
+/// Stack of the second core: planning a look-ahead of lines takes some 10 KiB, Lua's C calls the
+/// rest (`.ci/image-size` prints the largest frames).
 #[cfg(feature = "dual")]
 const STACK_BYTES: usize = 64 * 1024;
 
@@ -111,7 +111,7 @@ fn keys_of(record: &Record) -> Keys {
     Keys::new(&record.prefix).unwrap_or_default()
 }
 
-/// Makes the node where it stays: it has some 100 KiB.
+/// Makes the node where it stays.
 #[inline(never)]
 fn made_node(
     ring: &'static [AtomicU32],
@@ -120,8 +120,14 @@ fn made_node(
     config: NodeConfig,
 ) -> &'static mut BoardNode {
     static NODE: StaticCell<BoardNode> = StaticCell::new();
-    NODE.uninit()
-        .write(Node::new(ring, backend, outputs, config))
+    static PLANS: ConstStaticCell<PlanMemory> = ConstStaticCell::new(PlanMemory::new());
+    NODE.uninit().write(Node::new(
+        ring,
+        PLANS.take().plans(),
+        backend,
+        outputs,
+        config,
+    ))
 }
 
 #[embassy_executor::task]

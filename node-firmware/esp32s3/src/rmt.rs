@@ -8,7 +8,6 @@ use crate::board::{
 };
 use core::{
     cell::UnsafeCell,
-    mem::MaybeUninit,
     sync::atomic::{AtomicBool, Ordering},
 };
 use esp_hal::{
@@ -236,22 +235,28 @@ pub(crate) fn set_pin(number: u8, high: bool) {
 /// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
 pub(crate) static WANTED: AtomicBool = AtomicBool::new(false);
 
-struct Shared(UnsafeCell<MaybeUninit<Streamer<Chip, AXES>>>);
+struct Shared(UnsafeCell<Streamer<Chip, AXES>>);
 
 // SAFETY: it is used by one core only, by its interrupt and by its planning task, and never by both
 // at once: every call of `RmtBackend` first holds the interrupt off (`Streamer::hold`), and the
 // interrupt cannot be interrupted by the task.
 unsafe impl Sync for Shared {}
 
-static STREAMER: Shared = Shared(UnsafeCell::new(MaybeUninit::uninit()));
+static STREAMER: Shared = Shared(UnsafeCell::new(Streamer::new(
+    Chip,
+    StreamerConfig {
+        places: PLACES,
+        divider: RMT_DIVIDER,
+        prefetch_words: PREFETCH_WORDS,
+    },
+)));
 
 /// The refill interrupt.
 #[handler(priority = Priority::Priority3)]
 #[ram]
 fn refill() {
-    // SAFETY: the interrupt is enabled by `Streamer::resume` only, so the streamer is initialized
-    // and the task does not use it.
-    let streamer = unsafe { (*STREAMER.0.get()).assume_init_mut() };
+    // SAFETY: the interrupt is enabled by `Streamer::resume` only, so the task does not use it.
+    let streamer = unsafe { &mut *STREAMER.0.get() };
     if streamer.on_interrupt().wake {
         WANTED.store(true, Ordering::Release);
     }
@@ -328,27 +333,19 @@ impl RmtBackend {
         }
         #[cfg(not(feature = "counters"))]
         let _ = (x_in, y_in, x_dir, y_dir);
-        let streamer = Streamer::new(
-            Chip,
-            StreamerConfig {
-                places: PLACES,
-                divider: RMT_DIVIDER,
-                prefetch_words: PREFETCH_WORDS,
-            },
-        );
-        // SAFETY: the interrupt is not enabled yet, and this is called once: it takes the RMT.
-        unsafe { (*STREAMER.0.get()).write(streamer) };
-        Self { _own: () }
+        let backend = Self { _own: () };
+        backend.held().begin();
+        backend
     }
 
     /// Gives the streamer with its interrupt held off.
     fn held(&self) -> &'static mut Streamer<Chip, AXES> {
         // The interrupt must be off before there is a reference.
         Chip.enable_interrupts(0);
-        // SAFETY: `new` has initialized it; there is one handle, it does not leave its core, and
-        // the references that it gives do not outlive its methods, but for the axes, whose
-        // borrow of `self` keeps it from giving another.
-        let streamer = unsafe { (*STREAMER.0.get()).assume_init_mut() };
+        // SAFETY: there is one handle, it does not leave its core, and the references that it gives
+        // do not outlive its methods, but for the axes, whose borrow of `self` keeps it from
+        // giving another.
+        let streamer = unsafe { &mut *STREAMER.0.get() };
         streamer.hold();
         streamer
     }

@@ -26,16 +26,28 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Makes an axis at rest at count 0.
-    pub fn new(profile: AxisProfile) -> Self {
+    /// Makes an axis at rest at count 0 that no motor is known of yet: [`Motion::new`] tells it.
+    ///
+    /// [`Motion::new`]: crate::Motion::new
+    pub const fn new() -> Self {
         Self {
             segments: SegmentRing::new(),
-            encoder: Encoder::new(Timing::from(profile)),
+            encoder: Encoder::new(Timing::LEAST),
             ledger: Ledger::new(),
             planned_ticks: 0,
             lead_ticks: 0,
-            direction_inverted: profile.direction_inverted,
+            direction_inverted: false,
         }
+    }
+
+    /// Becomes the axis of this motor, at rest at count 0. In place: an axis has some 8 KB.
+    pub(crate) fn reset(&mut self, profile: AxisProfile) {
+        self.segments.clear();
+        self.encoder = Encoder::new(Timing::from(profile));
+        self.ledger = Ledger::new();
+        self.planned_ticks = 0;
+        self.lead_ticks = 0;
+        self.direction_inverted = profile.direction_inverted;
     }
 
     /// Returns the level of the direction pin for a direction.
@@ -143,5 +155,11 @@ impl Axis {
         self.encoder
             .stopping_mhz()
             .unwrap_or_else(|| self.encoder.speed_mhz())
+    }
+}
+
+impl Default for Axis {
+    fn default() -> Self {
+        Self::new()
     }
 }

@@ -134,7 +134,7 @@ impl Out {
 }
 
 impl Encoder {
-    pub(crate) fn new(timing: Timing) -> Self {
+    pub(crate) const fn new(timing: Timing) -> Self {
         Self {
             timing,
             direction: None,
@@ -151,7 +151,10 @@ impl Encoder {
             stopping_mhz: None,
             stopping_steps_max: 0,
             ended: true,
-            half_before: HalfFacts::default(),
+            half_before: HalfFacts {
+                has_steps: false,
+                ticks: 0,
+            },
             encoded_ticks: 0,
             low_word_ticks: LOW_WORD_TICKS_MAX,
         }

@@ -79,7 +79,7 @@ pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
     Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, LimitHit, Motion,
-    MotionConfig, MotionEvent, Outlook, ShiftConfig, SoftLimits, Target,
+    MotionConfig, MotionEvent, Outlook, PlanMemory, Plans, ShiftConfig, SoftLimits, Target,
 };
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};

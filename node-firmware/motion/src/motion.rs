@@ -10,6 +10,7 @@ mod inputs;
 mod marks;
 mod named;
 mod outputs;
+mod plans;
 mod reach;
 mod stand;
 
@@ -17,6 +18,7 @@ pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
 pub use course::{Course, DriveError, Target};
 pub use named::{CdError, ConfigCd};
+pub use plans::{PlanMemory, Plans};
 pub use reach::{Beyond, Outlook, SoftLimits};
 
 use drive::Drive;
@@ -263,8 +265,8 @@ pub struct Motion<'m, B: StepBackend> {
     timing: [Timing; CHANNELS],
     /// Rest between the start of the channels and the first command: time for the direction pins.
     lead_ticks: u64,
-    planner: Planner,
-    marks: Marks,
+    planner: &'m mut Planner,
+    marks: &'m mut Marks,
     phase: Phase,
     barrier: Barrier,
     start: Option<Start>,
@@ -331,12 +333,20 @@ pub struct Motion<'m, B: StepBackend> {
 }
 
 impl<'m, B: StepBackend> Motion<'m, B> {
-    /// Takes the ring and the hardware; all axes rest at position 0. The back end's axes become
-    /// those of `config`.
+    /// Takes the ring, memory for plans and the hardware; all axes rest at position 0. The back
+    /// end's axes become those of `config`.
     ///
     /// # Panics
     /// [`MotionConfig::check`] finds something wrong, or the back end has fewer axes.
-    pub fn new(ring: CommandRing<'m>, mut backend: B, config: MotionConfig) -> Self {
+    pub fn new(
+        ring: CommandRing<'m>,
+        plans: Plans<'m>,
+        mut backend: B,
+        config: MotionConfig,
+    ) -> Self {
+        let Plans { planner, marks } = plans;
+        planner.reset();
+        marks.clear();
         if let Err(error) = config.check() {
             panic!("{error}");
         }
@@ -346,7 +356,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         );
         let start_ticks = backend.start_ticks();
         for (axis, profile) in backend.axes().iter_mut().zip(config.axes) {
-            *axis = crate::Axis::new(profile);
+            axis.reset(profile);
         }
         let timing = config.axes.map(Timing::from);
         let lead_ticks = timing[..config.axis_count].iter().map(Timing::turn_ticks);
@@ -379,8 +389,8 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             axis_count: config.axis_count,
             timing,
             lead_ticks: start_ticks + lead_ticks.max().expect("there is an axis"),
-            planner: Planner::new(),
-            marks: Marks::new(),
+            planner,
+            marks,
             phase: Phase::Rest,
             barrier: Barrier::Open,
             start: None,
@@ -425,6 +435,14 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             fault: None,
             unchecked_axes: 0,
             miscounts_steps: [0; CHANNELS],
+        }
+    }
+
+    /// Ends, and gives the memory for plans back.
+    pub fn into_plans(self) -> Plans<'m> {
+        Plans {
+            planner: self.planner,
+            marks: self.marks,
         }
     }
 

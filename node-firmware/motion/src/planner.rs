@@ -278,6 +278,16 @@ impl Planner {
         }
     }
 
+    /// Becomes as new, field by field: another one would be put together on the stack.
+    pub(crate) fn reset(&mut self) {
+        self.forget();
+        self.rewound = [Made {
+            at: 0,
+            booked_steps: 0,
+        }; CHANNELS];
+        self.share = WHOLE;
+    }
+
     /// Returns whether the next line must follow without a gap.
     pub(crate) fn is_at_speed(&self) -> bool {
         self.left.is_some()

@@ -114,6 +114,17 @@ impl From<AxisProfile> for Timing {
 }
 
 impl Timing {
+    /// The shortest that the hardware can play, for an axis that nothing is known of.
+    pub(crate) const LEAST: Self = Self {
+        high_ticks_min: PART_TICKS_MIN,
+        low_ticks_min: PART_TICKS_MIN,
+        high_ticks: PART_TICKS_MIN,
+        setup_ticks: 1,
+        hold_ticks: 1,
+        stop_accel_hz_per_s: 1,
+        junction_speed: Real::ZERO,
+    };
+
     /// Returns the shortest interval between two steps, ticks.
     pub(crate) const fn interval_ticks_min(&self) -> u64 {
         self.high_ticks_min + self.low_ticks_min

@@ -59,7 +59,7 @@ use keys::{
     version,
 };
 use motion::{
-    CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, TICKS_PER_US, Ticks,
+    CommandRing, Motion, MotionConfig, MotionEvent, Plans, StepBackend, TICKS_PER_US, Ticks,
     io::{enable::OutputChange, input::PinLevel},
 };
 
@@ -236,8 +236,13 @@ const fn local_from_ticks(at: Ticks) -> LocalMicros {
 
 impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Boots: an empty queue over `memory` (8 words a command), positions at 0, no latch, no link.
-    pub fn new(memory: &'m [AtomicU32], backend: B, outputs: O, config: NodeConfig) -> Self {
-        // Motion is large: it is made where it stays as far as the compiler can.
+    pub fn new(
+        memory: &'m [AtomicU32],
+        plans: Plans<'m>,
+        backend: B,
+        outputs: O,
+        config: NodeConfig,
+    ) -> Self {
         let motion_config = config.motion.clone();
         let mut node = Self {
             queue: QueueId {
@@ -245,7 +250,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 flush: 0,
             },
             config,
-            motion: Motion::new(CommandRing::new(memory), backend, motion_config),
+            motion: Motion::new(CommandRing::new(memory), plans, backend, motion_config),
             outputs,
             ring_commands: 0,
             now: LocalMicros(0),
@@ -434,6 +439,11 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             suffix: heapless::String::new(),
             payload: line.as_bytes().iter().copied().collect(),
         })
+    }
+
+    /// Ends, and gives the memory for plans back.
+    pub fn into_plans(self) -> Plans<'m> {
+        self.motion.into_plans()
     }
 
     /// Returns what it was told at its boot.

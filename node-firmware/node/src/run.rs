@@ -13,7 +13,11 @@
 use crate::{Inbound, Node, Outbound, Outputs, library::Library};
 use alloc::{format, string::String, vec::Vec};
 use core::fmt::Write;
-use keys::{Keys, LocalMicros, NodeId, NodeTopic, key::KeyText};
+use keys::{
+    Keys, LocalMicros, NodeId, NodeTopic,
+    key::KeyText,
+    update::{UpdateMessage, UpdateRefusal, UpdateReply},
+};
 use motion::StepBackend;
 use pico::{
     event::{
@@ -37,6 +41,12 @@ pub trait Host {
     fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>);
     /// See [`Node::library`].
     fn library(&self) -> &Library;
+    /// Takes a message about another firmware. Flash is the host's business, not the node's: a host
+    /// without slots says so.
+    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
+        let _ = (now, message);
+        UpdateReply::Refused(UpdateRefusal::NoSlot)
+    }
 }
 
 impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
@@ -91,6 +101,9 @@ const JSON: u16 = 5;
 /// The key of stored scripts.
 type ScriptKey = heapless::String<DATA_KEY_BYTES_MAX>;
 
+/// Most bytes of an answer about another firmware.
+const UPDATE_REPLY_BYTES_MAX: usize = 8;
+
 /// Longest key that a script publishes on.
 const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 
@@ -111,6 +124,10 @@ pub struct NodeLink {
     scripts: ScriptKey,
     /// Gets that wait for room: what is left to send for each.
     gets: Vec<(InboundQuery, Vec<String>)>,
+    /// Messages about another firmware, and answers that wait for room.
+    updates: QueryableId,
+    update_key: KeyText,
+    answers: Vec<(InboundQuery, UpdateReply)>,
 }
 
 impl NodeLink {
@@ -147,6 +164,8 @@ impl NodeLink {
         let every = format!("{scripts}/*");
         let store = session.declare_subscriber(&every)?;
         let shelf = session.declare_queryable(&every, true)?;
+        let update_key = keys.node(name, NodeTopic::Update);
+        let updates = session.declare_queryable(&update_key, true)?;
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
         Ok(Self {
@@ -159,6 +178,9 @@ impl NodeLink {
             shelf,
             scripts,
             gets: Vec::new(),
+            updates,
+            update_key,
+            answers: Vec::new(),
         })
     }
 
@@ -180,6 +202,7 @@ impl NodeLink {
                 Event::Closed { .. } => {
                     self.held = None;
                     self.gets.clear();
+                    self.answers.clear();
                     host.handle(now, Inbound::LinkDown);
                 }
                 Event::Message { subscriber, sample } if subscriber == self.store => {
@@ -198,6 +221,19 @@ impl NodeLink {
                     let names = names.filter(|name| is_meant(asked, name));
                     self.gets.push((query, names.map(String::from).collect()));
                 }
+                Event::Query {
+                    query,
+                    queryable,
+                    payload,
+                    ..
+                } if queryable == self.updates => {
+                    let message = postcard::from_bytes(payload.as_deref().unwrap_or_default());
+                    let reply = match message {
+                        Ok(message) => host.update(now, &message),
+                        Err(_) => UpdateReply::Refused(UpdateRefusal::Message),
+                    };
+                    self.answers.push((query, reply));
+                }
                 Event::Message { subscriber, sample } => {
                     let Some(topic) = self.topic_of(subscriber) else {
                         continue;
@@ -213,6 +249,7 @@ impl NodeLink {
             }
         }
         self.answer(host, session);
+        self.answer_updates(session);
         host.poll(now);
         while let Some(outbound) = self.held.take().or_else(|| host.poll_outbox(now)) {
             // Closed: the next status says everything. Any other error cannot be helped by another
@@ -249,6 +286,23 @@ impl NodeLink {
                 }
                 self.gets.remove(0);
             }
+        }
+    }
+
+    /// Replies to messages about another firmware, as far as there is room.
+    fn answer_updates(&mut self, session: &mut Session) {
+        let options = options_of(NodeTopic::Update);
+        while let Some((query, reply)) = self.answers.first() {
+            let mut buffer = [0; UPDATE_REPLY_BYTES_MAX];
+            let bytes = postcard::to_slice(reply, &mut buffer)
+                .expect("a variant or two and a number of 32 bits");
+            if session.reply(query, &self.update_key, bytes, &options) == Err(ReplyError::Full)
+                || session.reply_final(query) == Err(ReplyError::Full)
+            {
+                // Twice the same answer does no harm.
+                return;
+            }
+            self.answers.remove(0);
         }
     }
 

@@ -78,7 +78,17 @@ pub(crate) struct Lane {
 }
 
 impl Lane {
-    pub(crate) fn new(axis: usize, place: Place, prefetch_words: u64) -> Self {
+    /// Stands for a lane until it is told its place.
+    pub(crate) const UNPLACED: Self = Self::new(
+        0,
+        Place {
+            channel: 0,
+            blocks: 1,
+        },
+        0,
+    );
+
+    pub(crate) const fn new(axis: usize, place: Place, prefetch_words: u64) -> Self {
         Self {
             axis,
             place,

@@ -13,7 +13,7 @@ use crate::{
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, StepBackend, TICKS_PER_US, Ticks,
+    Axis, StepBackend, TICKS_PER_US, Ticks,
     limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS},
 };
 
@@ -63,29 +63,33 @@ pub struct Streamer<R, const AXES: usize> {
 }
 
 impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
-    /// Makes a pulse unit at rest: pins low, interrupts held off until [`Streamer::resume`].
-    pub fn new(mut registers: R, config: StreamerConfig<AXES>) -> Self {
-        registers.enable_interrupts(0);
-        let prefetch_words = u64::from(config.prefetch_words);
+    /// Makes a pulse unit whose hardware nobody has touched: [`Streamer::begin`] comes next. Const,
+    /// because it has some 8 KB for each axis: a static holds it, and no stack ever does.
+    pub const fn new(registers: R, config: StreamerConfig<AXES>) -> Self {
+        let prefetch_words = config.prefetch_words as u64;
+        let mut lanes = [const { Lane::UNPLACED }; AXES];
         let mut axis = 0;
-        let lanes = config.places.map(|place| {
-            let lane = Lane::new(axis, place, prefetch_words);
+        while axis < AXES {
+            lanes[axis] = Lane::new(axis, config.places[axis], prefetch_words);
             axis += 1;
-            lane
-        });
-        let mut streamer = Self {
+        }
+        Self {
             registers,
             lanes,
-            axes: core::array::from_fn(|_| Axis::new(AxisProfile::default())),
+            axes: [const { Axis::new() }; AXES],
             divider: config.divider,
             held: true,
             fault: None,
-        };
-        for index in 0..AXES {
-            streamer.configure(index);
-            streamer.lanes[index].look(&streamer.registers);
         }
-        streamer
+    }
+
+    /// Sets the hardware, at rest: pins low, interrupts held off until [`Streamer::resume`].
+    pub fn begin(&mut self) {
+        self.registers.enable_interrupts(0);
+        for index in 0..AXES {
+            self.configure(index);
+            self.lanes[index].look(&self.registers);
+        }
     }
 
     fn configure(&mut self, index: usize) {

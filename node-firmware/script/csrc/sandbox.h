@@ -10,4 +10,12 @@ struct lua_State;
 /* Counts `work` of one C function, which no hook can interrupt; raises an error beyond the limit. */
 void sf_charge(struct lua_State *L, size_t work);
 
+/* Lua writes nowhere by itself: print is the node's, and a node has no standard output. */
+#define lua_writestring(text, length) ((void)0)
+#define lua_writeline() ((void)0)
+#define lua_writestringerror(text, argument) ((void)0)
+
+/* One locale for all nodes. */
+#define lua_getlocaledecpoint() '.'
+
 #endif

@@ -1,4 +1,4 @@
-//! Which slot boots, and whether it has proved itself.
+//! Whether the slot that runs has proved itself. Which one runs, the boot loader says.
 //!
 //! ```text
 //!   entry, 16 bytes, one after the other in an erase unit; the last valid one counts
@@ -7,7 +7,7 @@
 //!   │   u32    │  u8  │  u8   │          │ u64 │
 //!   └──────────┴──────┴───────┴─────────┴─────┘
 //!   state: new ──boot──▶ tried ──reached the router──▶ good
-//!                          └──boots again, or 60 s──▶ the slot before, good
+//!                          └──boots again, or 60 s──▶ the boot loader starts the other one, good
 //! ```
 
 use embedded_storage::nor_flash::NorFlash;
@@ -79,16 +79,13 @@ impl Entry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boot {
     /// Run: this slot has proved itself.
-    Run {
-        /// The slot.
-        slot: u8,
-    },
-    /// Run on trial: call [`Trial::confirm`] when the router is reached, or [`Trial::give_up`] and
-    /// boot again after [`TRIAL_US`].
-    OnTrial {
-        /// The slot.
-        slot: u8,
-    },
+    Run,
+    /// Run on trial: call [`Trial::confirm`] when the router is reached, or do as for
+    /// [`Boot::GoBack`] after [`TRIAL_US`].
+    OnTrial,
+    /// It was tried before without success: have the boot loader start the other slot. The journal
+    /// follows at that boot, so that a power cut in between changes nothing.
+    GoBack,
 }
 
 /// The journal of slots.
@@ -139,32 +136,30 @@ impl<F: NorFlash> Trial<F> {
         self.flash
     }
 
-    /// Returns the slot that is to run now.
-    pub fn slot(&self) -> u8 {
-        self.entry.slot
-    }
-
     /// Returns whether the slot that runs has not proved itself yet.
     pub fn is_on_trial(&self) -> bool {
         self.entry.state != State::Good
     }
 
-    /// Begins a boot. An image that was tried before without success is left for the one before it.
+    /// Begins a boot of the slot `running`.
     ///
     /// # Errors
-    /// The flash did not keep it; then the boot must go on with the slot that runs.
-    pub fn boot(&mut self) -> Result<Boot, TrialError> {
-        match self.entry.state {
-            State::Good => {}
-            State::New => {
-                self.append(self.entry.slot, State::Tried)?;
-                let slot = self.entry.slot;
-                return Ok(Boot::OnTrial { slot });
+    /// The flash did not keep it; the node runs on as it is.
+    pub fn boot(&mut self, running: u8) -> Result<Boot, TrialError> {
+        match (self.entry.state, self.entry.slot == running) {
+            (State::Good, true) => Ok(Boot::Run),
+            (State::New, true) => {
+                self.append(running, State::Tried)?;
+                Ok(Boot::OnTrial)
             }
-            State::Tried => self.give_up()?,
+            (State::Tried, true) => Ok(Boot::GoBack),
+            // A trial that failed, one that the boot loader never began, or an image that came by
+            // another way, such as a cable.
+            (_, false) => {
+                self.append(running, State::Good)?;
+                Ok(Boot::Run)
+            }
         }
-        let slot = self.entry.slot;
-        Ok(Boot::Run { slot })
     }
 
     /// The image has proved itself.
@@ -178,18 +173,8 @@ impl<F: NorFlash> Trial<F> {
         Ok(())
     }
 
-    /// Goes back to the other slot, which was good before. The next boot runs it.
-    ///
-    /// # Errors
-    /// The flash did not keep it; the next boot tries again.
-    pub fn give_up(&mut self) -> Result<(), TrialError> {
-        if self.is_on_trial() {
-            self.append(1 - self.entry.slot, State::Good)?;
-        }
-        Ok(())
-    }
-
-    /// The other slot holds an image that is whole and signed: the next boot tries it.
+    /// The other slot holds an image that is whole and signed: when the boot loader starts it, that
+    /// is a trial.
     ///
     /// # Errors
     /// The flash did not keep it, or the present image is on trial itself.

@@ -36,6 +36,8 @@ fn begin(image: &[u8], key: &SigningKey) -> UpdateMessage<'static> {
 struct Board {
     slots: [Flash; 2],
     journal: Flash,
+    /// What the boot loader starts.
+    selected: u8,
 }
 
 impl Board {
@@ -43,14 +45,19 @@ impl Board {
         Self {
             slots: [Flash::new(6), Flash::new(6)],
             journal: Flash::new(2),
+            selected: 0,
         }
     }
 
-    fn boot(&mut self) -> Boot {
-        let mut trial = Trial::new(self.journal.clone()).expect("room");
-        let boot = trial.boot().expect("has power");
-        self.journal = trial.into_flash();
-        boot
+    /// Boots, and again if it must go back. Returns the slot that runs and whether it is on trial.
+    fn boot(&mut self) -> (u8, Boot) {
+        loop {
+            let running = self.selected;
+            match self.journal(|trial| trial.boot(running)) {
+                Ok(Boot::GoBack) => self.selected = 1 - running,
+                boot => return (running, boot.expect("has power")),
+            }
+        }
     }
 
     fn journal<T>(&mut self, f: impl FnOnce(&mut Trial<Flash>) -> T) -> T {
@@ -62,7 +69,7 @@ impl Board {
 
     /// Sends an image to the slot that does not run, as a client would.
     fn send(&mut self, image: &[u8], key: &SigningKey) -> UpdateReply {
-        let other = 1 - usize::from(self.journal(|trial| trial.slot()));
+        let other = 1 - usize::from(self.selected);
         let public = signing_key().verifying_key().to_bytes();
         let mut updater = Updater::new(self.slots[other].clone(), Some(public));
         let reply = send(&mut updater, image, key);
@@ -70,6 +77,7 @@ impl Board {
         self.slots[other] = updater.into_slot();
         if ready {
             self.journal(Trial::try_other).expect("has power");
+            self.selected = 1 - self.selected;
         }
         reply
     }
@@ -94,35 +102,35 @@ fn send(updater: &mut Updater<Flash>, image: &[u8], key: &SigningKey) -> UpdateR
 #[test]
 fn an_image_boots_on_trial_and_stays_when_the_router_is_reached() {
     let mut board = Board::new();
-    assert_eq!(board.boot(), Boot::Run { slot: 0 });
+    assert_eq!(board.boot(), (0, Boot::Run));
     let image = image(20_003);
     assert_eq!(board.send(&image, &signing_key()), UpdateReply::Ready);
     assert_eq!(board.slots[1].bytes[..image.len()], image[..]);
-    assert_eq!(board.boot(), Boot::OnTrial { slot: 1 });
+    assert_eq!(board.boot(), (1, Boot::OnTrial));
     board.journal(Trial::confirm).expect("has power");
-    assert_eq!(board.boot(), Boot::Run { slot: 1 });
+    assert_eq!(board.boot(), (1, Boot::Run));
     // And the next one goes to slot 0.
     assert_eq!(board.send(&image, &signing_key()), UpdateReply::Ready);
-    assert_eq!(board.boot(), Boot::OnTrial { slot: 0 });
+    assert_eq!(board.boot(), (0, Boot::OnTrial));
 }
 
 #[test]
 fn an_image_that_does_not_reach_the_router_is_left() {
     let mut board = Board::new();
     board.send(&image(5_000), &signing_key());
-    assert_eq!(board.boot(), Boot::OnTrial { slot: 1 });
+    assert_eq!(board.boot(), (1, Boot::OnTrial));
     // 60 s without a router.
-    board.journal(Trial::give_up).expect("has power");
-    assert_eq!(board.boot(), Boot::Run { slot: 0 });
-    assert_eq!(board.boot(), Boot::Run { slot: 0 });
+    board.selected = 0;
+    assert_eq!(board.boot(), (0, Boot::Run));
+    assert_eq!(board.boot(), (0, Boot::Run));
 }
 
 #[test]
 fn an_image_that_crashes_on_trial_is_left() {
     let mut board = Board::new();
     board.send(&image(5_000), &signing_key());
-    assert_eq!(board.boot(), Boot::OnTrial { slot: 1 });
-    assert_eq!(board.boot(), Boot::Run { slot: 0 }, "it never confirmed");
+    assert_eq!(board.boot(), (1, Boot::OnTrial));
+    assert_eq!(board.boot(), (0, Boot::Run), "it never confirmed");
 }
 
 #[test]
@@ -132,7 +140,7 @@ fn nothing_is_taken_while_it_moves_without_a_key_or_with_a_bad_signature() {
     let bad = UpdateReply::Refused(UpdateRefusal::Signature);
     assert_eq!(board.send(&image(5_000), &thief), bad);
     assert_eq!(board.slots[1].used, 0, "the flash is not touched");
-    assert_eq!(board.boot(), Boot::Run { slot: 0 });
+    assert_eq!(board.boot(), (0, Boot::Run));
 
     let mut updater = Updater::new(Flash::new(6), None);
     let message = begin(&image(100), &signing_key());
@@ -200,7 +208,7 @@ fn a_power_cut_at_every_byte_of_the_journal_leaves_a_slot_that_boots() {
     let mut board = Board::new();
     for round in 0..180 {
         let before = board.clone();
-        let slot = before.clone().journal(|trial| trial.slot());
+        let slot = before.selected;
         // Units hold 256 entries, a round writes three.
         let cuts = if round < 3 || (83..87).contains(&(round % 85)) {
             80
@@ -210,33 +218,47 @@ fn a_power_cut_at_every_byte_of_the_journal_leaves_a_slot_that_boots() {
         for power in 0..cuts {
             let mut cut = before.clone();
             cut.journal.power = power;
-            let _ = cut.journal(Trial::try_other);
-            cut.journal.power = usize::MAX;
-            match cut.boot() {
-                Boot::Run { slot: found } => assert_eq!(found, slot, "{round} {power}"),
-                Boot::OnTrial { slot: found } => assert_eq!(found, 1 - slot),
+            if cut.journal(Trial::try_other).is_ok() {
+                cut.selected = 1 - slot;
             }
+            cut.journal.power = usize::MAX;
+            let (running, boot) = cut.boot();
+            let expected = if running == slot {
+                Boot::Run
+            } else {
+                Boot::OnTrial
+            };
+            assert_eq!(boot, expected, "{round} {power}");
             // And the boot after a trial without success is the old one again.
-            assert_eq!(cut.boot(), Boot::Run { slot }, "{round} {power}");
+            assert_eq!(cut.boot(), (slot, Boot::Run), "{round} {power}");
         }
         board.journal(Trial::try_other).expect("has power");
-        assert_eq!(board.boot(), Boot::OnTrial { slot: 1 - slot });
+        let new = board.clone();
+        for power in 0..cuts {
+            // The journal is new, and the boot loader was not told any more.
+            let mut cut = new.clone();
+            cut.journal.power = power;
+            let _ = cut.journal(|trial| trial.boot(slot));
+            cut.journal.power = usize::MAX;
+            assert_eq!(cut.boot(), (slot, Boot::Run), "{round} {power}");
+        }
+        board.selected = 1 - slot;
+        assert_eq!(board.boot(), (1 - slot, Boot::OnTrial));
         let on_trial = board.clone();
         for power in 0..cuts {
             let mut cut = on_trial.clone();
             cut.journal.power = power;
-            let _ = cut.journal(Trial::confirm);
+            let confirmed = cut.journal(Trial::confirm).is_ok();
             cut.journal.power = usize::MAX;
-            let Boot::Run { slot: found } = cut.boot() else {
-                panic!("nobody is tried twice");
-            };
-            assert!(found < 2);
+            let (running, boot) = cut.boot();
+            assert_eq!(boot, Boot::Run, "nobody is tried twice");
+            assert!(running == 1 - slot || !confirmed, "{round} {power}");
         }
         board.journal(Trial::confirm).expect("has power");
         if round % 16 != 0 {
             continue;
         }
-        assert_eq!(board.boot(), Boot::Run { slot: 1 - slot });
+        assert_eq!(board.boot(), (1 - slot, Boot::Run));
     }
 }
 
@@ -253,10 +275,10 @@ fn a_power_cut_in_the_middle_of_an_image_leaves_the_running_one() {
         board.slots[1].power = power;
         let reply = board.send(&image, &signing_key());
         assert_eq!(reply, UpdateReply::Refused(UpdateRefusal::Flash));
-        assert_eq!(board.boot(), Boot::Run { slot: 0 }, "{power}");
+        assert_eq!(board.boot(), (0, Boot::Run), "{power}");
         board.slots[1].power = usize::MAX;
         assert_eq!(board.send(&image, &signing_key()), UpdateReply::Ready);
-        assert_eq!(board.boot(), Boot::OnTrial { slot: 1 });
+        assert_eq!(board.boot(), (1, Boot::OnTrial));
         let mut start = [0; 16];
         board.slots[1].read(0, &mut start).expect("has power");
         assert_eq!(start[..], image[..16]);

@@ -22,7 +22,10 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use esp_hal::{clock::CpuClock, main, system::software_reset};
 use esp_println::println;
 use keys::{AxisId, Command, StopMode, command::COMMAND_WORDS};
-use motion::{CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, Ticks};
+use motion::{
+    CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks,
+};
+use static_cell::ConstStaticCell;
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
@@ -113,7 +116,13 @@ fn main() -> ! {
         #[cfg(feature = "counters")]
         parts.PCNT,
     );
-    let motion = Motion::new(CommandRing::new(&RING), backend, MotionConfig::default());
+    static PLANS: ConstStaticCell<PlanMemory> = ConstStaticCell::new(PlanMemory::new());
+    let motion = Motion::new(
+        CommandRing::new(&RING),
+        PLANS.take().plans(),
+        backend,
+        MotionConfig::default(),
+    );
     let mut bench = Bench {
         motion,
         failures: 0,

@@ -2,10 +2,10 @@
 //! is the encoder, the ledger and the planner alone. Also for a machine without an operating
 //! system.
 
-use core::{array, hint::black_box, sync::atomic::AtomicU32};
+use core::{hint::black_box, sync::atomic::AtomicU32};
 use keys::{AxisId, Command, StopMode, status::FaultCode};
 use motion::{
-    Axis, AxisProfile, CommandRing, Fill, Motion, MotionConfig, MotionEvent, StepBackend, Ticks,
+    Axis, CommandRing, Fill, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks,
     limits,
 };
 
@@ -111,7 +111,7 @@ pub(crate) fn execute(
     count: fn() -> u32,
 ) -> Run {
     let sink = Sink {
-        axes: array::from_fn(|_| Axis::new(AxisProfile::default())),
+        axes: [const { Axis::new() }; limits::CHANNELS],
         half: 0,
         count,
         run: Run::default(),
@@ -122,7 +122,9 @@ pub(crate) fn execute(
         axis_count,
         ..MotionConfig::default()
     };
-    let mut motion = Motion::new(CommandRing::new(memory), sink, config);
+    let mut memory_of_plans = PlanMemory::new();
+    let plans = memory_of_plans.plans();
+    let mut motion = Motion::new(CommandRing::new(memory), plans, sink, config);
     let accepted = commands.len();
     let mut reservation = motion.reserve(accepted).expect("room");
     for command in commands {

@@ -70,6 +70,10 @@ impl Marks {
         }
     }
 
+    pub(super) fn clear(&mut self) {
+        self.count = 0;
+    }
+
     pub(super) fn front(&self) -> Option<&Mark> {
         (self.count > 0).then(|| &self.marks[self.first])
     }

@@ -3,7 +3,9 @@
 
 use crate::model::{Edge, Model, ModelRegisters, Silicon};
 use keys::{AxisId, Command, command::COMMAND_WORDS, status::FaultCode};
-use motion::{Axis, CommandRing, Motion, MotionConfig, MotionEvent, StepBackend, Ticks};
+use motion::{
+    Axis, CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks,
+};
 use rmt::{Place, Streamer, StreamerConfig};
 use std::{cell::RefCell, rc::Rc, sync::atomic::AtomicU32};
 
@@ -63,8 +65,10 @@ impl<const AXES: usize> Rig<AXES> {
             divider: CLOCK_DIVIDER,
             prefetch_words,
         };
+        let mut streamer = Streamer::new(ModelRegisters(model.clone()), config);
+        streamer.begin();
         Self {
-            streamer: Streamer::new(ModelRegisters(model.clone()), config),
+            streamer,
             model,
             lateness,
             random: lateness.seed,
@@ -161,8 +165,9 @@ impl<B: StepBackend> Bench<B> {
             axis_count,
             ..MotionConfig::default()
         };
+        let plans = Box::leak(Box::new(PlanMemory::new())).plans();
         Self {
-            motion: Motion::new(CommandRing::new(memory(512)), backend, config),
+            motion: Motion::new(CommandRing::new(memory(512)), plans, backend, config),
             waiting: std::collections::VecDeque::new(),
             events: Vec::new(),
             now: Ticks(0),

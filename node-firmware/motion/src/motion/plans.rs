@@ -1,0 +1,44 @@
+//! What is planned and not yet played: the large part of a motion, and so the caller's memory.
+//!
+//! A static holds it on a chip: made by the compiler, it never lies on a stack.
+
+use super::marks::Marks;
+use crate::planner::Planner;
+
+/// Memory of one motion, some 77 KB.
+#[derive(Debug)]
+pub struct PlanMemory {
+    planner: Planner,
+    marks: Marks,
+}
+
+impl PlanMemory {
+    /// Makes memory without a plan.
+    pub const fn new() -> Self {
+        Self {
+            planner: Planner::new(),
+            marks: Marks::new(),
+        }
+    }
+
+    /// Lends it to a motion.
+    pub const fn plans(&mut self) -> Plans<'_> {
+        Plans {
+            planner: &mut self.planner,
+            marks: &mut self.marks,
+        }
+    }
+}
+
+impl Default for PlanMemory {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A loan of [`PlanMemory`]; whatever was planned in it is forgotten.
+#[derive(Debug)]
+pub struct Plans<'m> {
+    pub(super) planner: &'m mut Planner,
+    pub(super) marks: &'m mut Marks,
+}
