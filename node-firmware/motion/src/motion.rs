@@ -12,6 +12,7 @@ mod named;
 mod outputs;
 mod reach;
 mod stand;
+mod turns;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
@@ -24,6 +25,7 @@ use homing::Homing;
 use marks::{Mark, Marks, What};
 use named::Cd;
 use outputs::{Laser, Shift};
+use turns::Turns;
 
 use crate::{
     Axis, CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
@@ -282,6 +284,7 @@ pub struct Motion<'m, B: StepBackend> {
     lidar_until: Option<Ticks>,
     enables: Enables,
     shift: Option<Shift>,
+    turns: Turns,
     /// When the drivers that were switched on let the queue begin.
     enabled_at: Option<Ticks>,
     /// It waits for them.
@@ -397,6 +400,10 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             lidar_until: None,
             enables,
             shift: config.shift.map(Shift::new),
+            turns: Turns::new(|axis| {
+                let shift = config.shift;
+                shift.is_some_and(|shift| shift.direction_pin_of(axis).is_some())
+            }),
             enabled_at: None,
             waits_enable: false,
             station: false,
@@ -881,7 +888,12 @@ impl<'m, B: StepBackend> Motion<'m, B> {
                     Hold::Resuming(_) => return None,
                 }
                 let waits = self.ring.peek();
-                let waits = waits.is_some_and(|next| self.waits_for_rest(&next));
+                let turns = waits.is_some_and(|next| self.must_turn(&next));
+                if turns {
+                    // It rests in the midst of a job, for as long as the register needs.
+                    self.withhold_laser();
+                }
+                let waits = turns || waits.is_some_and(|next| self.waits_for_rest(&next));
                 if self.executed_commands < self.expected_commands && !waits {
                     self.withhold_laser();
                     Some(MotionEvent::Underrun)
@@ -1050,6 +1062,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             if self.marks.is_full()
                 || self.waits_for_rest(&command)
                 || self.refuse_blocked(&command)
+                || !self.are_turned(&command)
             {
                 break;
             }
@@ -1197,7 +1210,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
 
     fn begin_line(&mut self, line: Line, jump_steps: u16, begin: Ticks) -> Begun {
         let ring = &self.ring;
-        let behind = lines_behind(ring, 1, self.lidar_wait_ticks.is_some());
+        let behind = lines_behind(ring, 1, self.lidar_wait_ticks.is_some(), self.turns);
         let axes = &self.backend.axes()[..self.axis_count];
         let base_steps = self.planned_steps;
         self.planner
@@ -1259,11 +1272,13 @@ fn lines_behind<'r>(
     ring: &'r CommandRing<'_>,
     count: usize,
     lidar_waits: bool,
+    turns: Turns,
 ) -> impl Iterator<Item = Command> + use<'r> {
     let all = (count..).map_while(|index| ring.peek_at(index));
     all.take(LOOK_COMMANDS_MAX)
         .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))
         .filter(|next| !takes_no_time(next))
+        .take_while(move |next| turns.joins(next))
         .take_while(|next| matches!(next, Command::Line { .. }))
 }
 
