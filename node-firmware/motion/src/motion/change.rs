@@ -2,8 +2,9 @@
 //! taken back, and the path goes on from there under what has changed.
 
 use super::{
-    Hold, Motion, Phase, Place, lines_behind,
+    Hold, Motion, Phase, Place,
     marks::{Mark, What},
+    plan::lines_behind,
 };
 use keys::Command;
 
