@@ -13,6 +13,8 @@ struct Timer {
     step: Pin,
     direction: Pin,
     positive: bool,
+    /// Its direction pin is behind a shift register.
+    external: bool,
     high: bool,
     /// The next edge, up or down.
     edge_at: u64,
@@ -29,6 +31,7 @@ impl Timer {
             step,
             direction,
             positive: false,
+            external: false,
             high: false,
             edge_at: 0,
             interval_ticks: 1,
@@ -54,7 +57,7 @@ impl Timer {
         edges: &mut Vec<PinEvent>,
     ) {
         self.halt(now, edges);
-        if self.positive != positive {
+        if self.positive != positive && !self.external {
             self.positive = positive;
             Self::note(edges, now, self.direction, positive);
         }
@@ -114,6 +117,16 @@ impl VirtualCd {
             c: Timer::new(Pin::StepC, Pin::DirectionC),
             d: Timer::new(Pin::StepD, Pin::DirectionD),
             edges: Vec::new(),
+        }
+    }
+
+    /// A shift register gives the direction pin of C (0) or D (1) this level.
+    pub(crate) fn set_direction_pin(&mut self, index: usize, level: bool, now: Ticks) {
+        let timer = if index == 0 { &mut self.c } else { &mut self.d };
+        timer.external = true;
+        if timer.positive != level {
+            timer.positive = level;
+            Timer::note(&mut self.edges, now.0, timer.direction, level);
         }
     }
 

@@ -208,6 +208,15 @@ impl EmulatorConfig {
         axes.map(|axis| axis.direction_inverted).collect()
     }
 
+    /// The axes that turn by the shift register.
+    pub(crate) fn external(&self) -> Vec<bool> {
+        let shift = self.motion.shift;
+        let pin = |axis| shift.and_then(|shift| shift.direction_pin_of(axis));
+        (0..self.axis_count)
+            .map(|axis| pin(axis).is_some())
+            .collect()
+    }
+
     /// What the oracle knows of the homes.
     pub(crate) fn home_facts(&self) -> Vec<HomeFacts> {
         let motion = self.motion_config();

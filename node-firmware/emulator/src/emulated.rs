@@ -374,6 +374,7 @@ impl EmulatedNode {
             let wrong = self.shift_errors > 0;
             self.shift_errors = self.shift_errors.saturating_sub(1);
             let word = if wrong { !word } else { word };
+            self.show(word, now);
             self.node.handle(now, Inbound::Shift { word });
         }
         self.node.poll(now);
@@ -383,6 +384,20 @@ impl EmulatedNode {
                 keeper.link_up();
             }
             self.wants_restart |= keeper.poll(now.0, self.node.motion().is_active());
+        }
+    }
+
+    /// The pins of the shift register take these levels.
+    fn show(&mut self, word: u32, now: LocalMicros) {
+        let Some(shift) = self.config.motion.shift else {
+            return;
+        };
+        let backend = self.node.motion_mut().backend_mut();
+        for axis in 0..shift.direction_pins.len() {
+            if let Some(pin) = shift.direction_pin_of(axis) {
+                let level = word >> pin & 1 != 0;
+                backend.set_direction_pin(axis, level, Ticks(now.0 * TICKS_PER_US));
+            }
         }
     }
 
@@ -488,6 +503,7 @@ impl EmulatedNode {
             holds: self.holds.clone(),
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
+            external: self.config.external(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: self.cut,
             counted_steps: self.counted_steps(),
@@ -518,6 +534,7 @@ impl EmulatedNode {
             holds: mem::take(&mut self.holds),
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
+            external: self.config.external(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),

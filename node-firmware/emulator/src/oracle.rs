@@ -274,6 +274,7 @@ struct Judge<'l> {
     inputs: &'l [InputEdge],
     homes: &'l [HomeFacts],
     inverted: &'l [bool],
+    external: &'l [bool],
     lidar_waits: bool,
     holds: holds::Holds,
     /// Nothing of what is still to be read leaves before this, ticks.
@@ -292,6 +293,7 @@ impl<'l> Judge<'l> {
             inputs: &life.inputs,
             homes: &life.homes,
             inverted: &life.inverted,
+            external: &life.external,
             lidar_waits: life.lidar_waits,
             holds: holds::Holds::new(&life.holds),
             not_before: 0,

@@ -75,6 +75,8 @@ struct Channel {
     direction: bool,
     /// It is low for positive.
     inverted: bool,
+    /// It is behind a shift register: the refill has no hold of it.
+    external: bool,
     /// The pulse counter: active edges with sign.
     counted_steps: i64,
 }
@@ -134,6 +136,7 @@ impl Channel {
             level: false,
             direction: false,
             inverted: false,
+            external: false,
             counted_steps: 0,
         }
     }
@@ -257,6 +260,23 @@ impl VirtualRmt {
         }
     }
 
+    /// A shift register gives the direction pin of an axis this level (C and D are behind the axes
+    /// of the queue): from now on it is behind that.
+    pub fn set_direction_pin(&mut self, axis: usize, level: bool, now: Ticks) {
+        let Some(channel) = self.channels.get_mut(axis) else {
+            self.cd.set_direction_pin(axis - CHANNELS, level, now);
+            return;
+        };
+        channel.external = true;
+        let mut scope = Scope {
+            axis: AxisId(axis as u8),
+            record: self.record,
+            edges: &mut self.edges,
+        };
+        let inverted = !self.axes[axis].direction_level(Direction::Positive);
+        channel.turn(now.0, level, inverted, &mut scope);
+    }
+
     /// Returns C and D, to look at.
     pub fn cd_pins(&self) -> &VirtualCd {
         &self.cd
@@ -316,7 +336,7 @@ impl VirtualRmt {
         }
         let axis = &mut self.axes[index];
         let fill = axis.fill(refill.half);
-        if let Some(direction) = fill.turn {
+        if let Some(direction) = fill.turn.filter(|_| !channel.external) {
             let inverted = !axis.direction_level(Direction::Positive);
             channel.turn(
                 refill.at,

@@ -87,6 +87,8 @@ pub struct Life {
     pub homes: Vec<HomeFacts>,
     /// Axes whose direction pin is low for positive.
     pub inverted: Vec<bool>,
+    /// Axes that turn by a shift register, at rest, as long as that may take.
+    pub external: Vec<bool>,
     /// Whether the queue rests at `lidar_read` until the reading has come.
     pub lidar_waits: bool,
     /// A list was full: later commands and edges are missing.

@@ -346,6 +346,7 @@ fn shifted() -> EmulatorConfig {
     config.motion.shift = Some(ShiftConfig {
         pin_count: 8,
         enable_pins,
+        ..ShiftConfig::default()
     });
     config
 }

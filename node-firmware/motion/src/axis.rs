@@ -135,6 +135,11 @@ impl Axis {
         self.encoder.committed_ticks()
     }
 
+    /// Its pin was turned by somebody else than the refill.
+    pub(crate) fn take_direction(&mut self, direction: Direction) {
+        self.encoder.take_direction(direction);
+    }
+
     /// Leaves the plan; another one follows.
     pub(crate) fn rewind(&mut self) -> Rewound {
         let rewound = self.encoder.rewind(&mut self.segments);

@@ -27,6 +27,9 @@
 //! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
 
 mod run;
+mod slower;
+
+use slower::slower_step;
 
 use crate::{
     limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
@@ -195,6 +198,11 @@ impl Encoder {
         }
     }
 
+    /// The direction pin was switched by somebody else, while nothing steps.
+    pub(crate) fn take_direction(&mut self, direction: Direction) {
+        self.direction = Some(direction);
+    }
+
     /// Forgets everything but the direction pin: the channel was halted or has ended.
     pub(crate) fn reset(&mut self) {
         *self = Self {
@@ -259,7 +267,7 @@ impl Encoder {
         } else {
             0
         };
-        if self.slower_mhz(speed_mhz).is_none() {
+        if speed_mhz * speed_mhz < self.lost_speed() {
             // No step follows, so nobody need wait for its time: that may be an hour.
             self.low_ticks = 0;
         }
@@ -509,12 +517,6 @@ impl Encoder {
         self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(ticks);
     }
 
-    /// Returns the speed after one more step of a controlled stop; `None`: it can rest at once.
-    fn slower_mhz(&self, speed_mhz: u64) -> Option<u64> {
-        let square = speed_mhz * speed_mhz;
-        Some(square.checked_sub(self.lost_speed())?.isqrt())
-    }
-
     /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
     fn lost_speed(&self) -> u64 {
         2_000_000 * u64::from(self.timing.stop_accel_hz_per_s)
@@ -522,16 +524,15 @@ impl Encoder {
 
     /// Writes a step of a controlled stop, or the end.
     fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
-        let slower_mhz = match self.slower_mhz(speed_mhz) {
-            Some(slower_mhz) if self.stopping_steps_max > 0 => slower_mhz,
-            _ => {
-                self.stopping_mhz = Some(0);
-                self.end(out);
-                return;
-            }
+        let lost = self.lost_speed();
+        let left = (speed_mhz * speed_mhz).checked_sub(lost);
+        let Some(square) = left.filter(|_| self.stopping_steps_max > 0) else {
+            self.stopping_mhz = Some(0);
+            self.end(out);
+            return;
         };
         self.stopping_steps_max -= 1;
-        let interval_ticks = 2_000 * TICK_HZ / (speed_mhz + slower_mhz);
+        let (slower_mhz, interval_ticks) = slower_step(speed_mhz, square, lost);
         let high_ticks = self.timing.high_of(interval_ticks);
         self.stopping_mhz = Some(slower_mhz);
         self.write_step(

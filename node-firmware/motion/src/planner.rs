@@ -288,6 +288,12 @@ impl Planner {
         self.share = WHOLE;
     }
 
+    /// An axis that rests was turned by somebody else.
+    pub(crate) fn take_direction(&mut self, index: usize, axis: &mut Axis, direction: Direction) {
+        self.tails[index].direction = Some(direction);
+        axis.take_direction(direction);
+    }
+
     /// Returns whether the next line must follow without a gap.
     pub(crate) fn is_at_speed(&self) -> bool {
         self.left.is_some()

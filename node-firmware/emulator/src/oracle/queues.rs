@@ -375,13 +375,18 @@ impl Judge<'_> {
         } else {
             self.limits.skew_ticks
         };
-        let turns = signs.any(|(axis, sign)| sign != self.axes[axis].sign);
-        let added = if turns { self.limits.turn_ticks_max } else { 0 };
+        let turning = |(axis, sign): (usize, i64)| (sign != self.axes[axis].sign).then_some(axis);
+        let (mut added, mut confirmed) = (0, true);
+        for axis in signs.by_ref().filter_map(turning) {
+            added = self.limits.turn_ticks_max;
+            // Nobody knows when the register confirms it.
+            confirmed &= !self.external.get(axis).copied().unwrap_or(false);
+        }
         let ahead = (anchor.taken + self.limits.ahead_ticks) as f64;
         let in_time = ahead <= anchor.due.low && anchor.timeless < 200;
         Some(Window {
             low: anchor.due.low - skew as f64,
-            high: if in_time {
+            high: if in_time && confirmed {
                 anchor.due.high + (skew + added) as f64
             } else {
                 f64::INFINITY

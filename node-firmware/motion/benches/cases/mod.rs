@@ -111,7 +111,7 @@ fn four(index: u32, jerk_hz_per_s2: u32) -> Command {
 }
 
 /// All that is counted.
-pub(crate) const CASES: [Case; 14] = [
+pub(crate) const CASES: [Case; 15] = [
     Case {
         name: "move at 200 kHz",
         axis_count: 1,
@@ -128,6 +128,16 @@ pub(crate) const CASES: [Case; 14] = [
         sizes: [5_000, 25_000],
         count: |_| 1,
         command: |size, _| run(5, size),
+        units: |size| size,
+        stops: true,
+        unit: "step",
+    },
+    Case {
+        name: "stop of a move at 10 kHz",
+        axis_count: 1,
+        sizes: [100, 400],
+        count: |_| 1,
+        command: |size, _| run(100, size),
         units: |size| size,
         stops: true,
         unit: "step",

@@ -3,8 +3,11 @@
 //! All in 32 bits: an interval is whole ticks and a fraction of 2⁻³², so that a step costs an
 //! addition and its carry; what holds for the whole run is decided once before it.
 
-use super::{Encoder, Out};
-use crate::{limits::TICK_HZ, segment::FRACTION_BITS, symbol::Symbol};
+use super::{
+    Encoder, Out,
+    slower::{is_quick, slower},
+};
+use crate::{segment::FRACTION_BITS, symbol::Symbol};
 
 impl Encoder {
     /// Writes steps of the present segment but for its last one, as many as there is room for:
@@ -80,8 +83,7 @@ impl Encoder {
         };
         let mut last = Symbol::END;
         while out.left() > 0 && self.stopping_steps_max > 0 {
-            let square = u64::from(speed) * u64::from(speed);
-            if speed < SLOWER_MHZ_MIN || lost > square >> SLOWER_BITS {
+            if !is_quick(speed, lost) {
                 break;
             }
             let (slower, interval) = slower(speed, lost);
@@ -102,46 +104,6 @@ impl Encoder {
         self.resting = false;
         true
     }
-}
-
-/// A step is quick to compute while it loses less than 2⁻¹⁰ of the speed's square.
-const SLOWER_BITS: u32 = 10;
-
-/// Slower than 2 kHz its numbers need more than 64 bits, and a step more than a word.
-const SLOWER_MHZ_MIN: u32 = 1 << 21;
-
-/// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
-/// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
-/// mHz, from [`SLOWER_MHZ_MIN`].
-fn slower(speed: u32, lost: u64) -> (u32, u32) {
-    const TWICE: u64 = 2_000 * TICK_HZ;
-    let shift = speed.leading_zeros();
-    let divisor = u64::from(speed << shift);
-    let short = u64::from(u32::MAX / (divisor >> 16) as u32);
-    let error = (1 << 48) - (divisor * short) as i64;
-    // ≤ 2⁶³ / divisor, by less than 2⁻²⁸ of it.
-    let inverse = ((short << 15) as i64 + ((error * short as i64) >> 33)) as u64;
-    let inverse = inverse.min(u64::from(u32::MAX));
-    // √(v² - l) = v - l/2v - (l/2v)²/2v …
-    let over_twice = |value: u64| (((value << shift) >> 32) * inverse) >> 32;
-    let first = over_twice(lost);
-    let mut slower = u64::from(speed) - first - over_twice(first * first);
-    let square = u64::from(speed) * u64::from(speed) - lost;
-    while slower * slower > square {
-        slower -= 1;
-    }
-    while (slower + 1) * (slower + 1) <= square {
-        slower += 1;
-    }
-    let sum = u64::from(speed) + slower;
-    let mut interval = (((TWICE << shift) >> 16) * inverse) >> 48;
-    while (interval + 1) * sum <= TWICE {
-        interval += 1;
-    }
-    while interval * sum > TWICE {
-        interval -= 1;
-    }
-    (slower as u32, interval as u32)
 }
 
 /// What a run of words took.
@@ -191,6 +153,7 @@ mod tests {
     use super::*;
     use crate::{
         AxisProfile,
+        limits::TICK_HZ,
         profile::Timing,
         segment::{Segment, SegmentRing},
     };
@@ -222,31 +185,6 @@ mod tests {
             }
         }
         edges
-    }
-
-    #[test]
-    fn a_controlled_stop_has_its_speeds_and_intervals_to_the_last_unit() {
-        let mut state = 4_u64;
-        let mut next = |bits: u64| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 20) & ((1 << bits) - 1)
-        };
-        for case in 0..1_000_000 {
-            let speed = (next(21 + case % 12) as u32) | SLOWER_MHZ_MIN;
-            let square = u64::from(speed) * u64::from(speed);
-            let lost = match case % 4 {
-                0 => square >> SLOWER_BITS,
-                1 => 2_000_000 * next(1 + case % 31),
-                _ => next(1 + case % 52),
-            };
-            let lost = lost.min(square >> SLOWER_BITS);
-            let root = (square - lost).isqrt();
-            let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
-            let found = slower(speed, lost);
-            assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
-        }
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //! taken back, and the path goes on from there under what has changed.
 
 use super::{
-    Hold, Motion, Phase, Place, lines_behind,
+    Hold, Motion, Phase, Place,
     marks::{Mark, What},
+    plan::lines_behind,
 };
 use keys::Command;
 
@@ -56,7 +57,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Goes on with a line that was left; `own` is its mark.
     pub(super) fn go_on(&mut self, split: Split, own: Option<What>) -> Begun {
         let ring = &self.ring;
-        let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some());
+        let behind = lines_behind(ring, 0, self.lidar_wait_ticks.is_some(), self.turns);
         let axes = &self.backend.axes()[..self.axis_count];
         let begun = self.planner.go_on(split, behind, axes);
         if let Some(What::Path(steps)) = own {

@@ -4,7 +4,7 @@ use super::{ConfigCd, SoftLimits};
 use crate::{
     AxisProfile,
     io::{
-        enable::{EnableConfig, EnableError, Enables, OUTPUTS_MAX},
+        enable::{ENABLED_AXES, EnableConfig, EnableError, Enables, OUTPUTS_MAX},
         home::{HomeConfig, HomeConfigError},
         input::{InputMap, MapError, Role, Switch},
         named::{NamedConfigError, PositionsC, SwitchD},
@@ -36,7 +36,7 @@ pub struct MotionConfig {
     pub soft_limits: [Option<SoftLimits>; CHANNELS],
     /// The enable outputs, by index. One that is not automatic is on from boot on.
     pub enables: heapless::Vec<EnableConfig, OUTPUTS_MAX>,
-    /// The shift register of the external enable outputs.
+    /// The shift register of external enable outputs and direction pins.
     pub shift: Option<ShiftConfig>,
     /// How long `lidar_read` waits for its reading at rest, ms; `None`: it asks in passing.
     pub lidar_wait_ms: Option<u32>,
@@ -69,21 +69,48 @@ impl Default for MotionConfig {
     }
 }
 
-/// A shift register whose pins enable drivers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A shift register whose pins enable drivers and turn axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShiftConfig {
     /// How many pins it has, at most [`SHIFT_PINS_MAX`].
     pub pin_count: u8,
     /// The pin of each enable output that is behind it, high for on.
     pub enable_pins: [Option<u8>; OUTPUTS_MAX],
+    /// The pin that turns an axis: those of the queue by number, then C, then D. High for positive,
+    /// unless the axis' profile says otherwise. Such an axis turns only at rest, and steps only when
+    /// what was read back confirms its direction.
+    pub direction_pins: [Option<u8>; ENABLED_AXES],
 }
 
 impl ShiftConfig {
     /// Returns the pin of an enable output.
     pub fn pin_of(&self, output: usize) -> Option<u8> {
         let pin = self.enable_pins.get(output).copied().flatten();
-        let count = usize::from(self.pin_count).min(SHIFT_PINS_MAX);
-        pin.filter(|pin| usize::from(*pin) < count)
+        pin.filter(|pin| usize::from(*pin) < self.count())
+    }
+
+    /// Returns the pin that turns an axis, if it is behind the register.
+    pub fn direction_pin_of(&self, axis: usize) -> Option<u8> {
+        let pin = self.direction_pins.get(axis).copied().flatten();
+        pin.filter(|pin| usize::from(*pin) < self.count())
+    }
+
+    fn count(&self) -> usize {
+        usize::from(self.pin_count).min(SHIFT_PINS_MAX)
+    }
+
+    /// Returns a pin that two things share, or that is none.
+    fn wrong_pin(&self) -> Option<u8> {
+        let pins = self
+            .enable_pins
+            .iter()
+            .chain(&self.direction_pins)
+            .flatten();
+        let wrong = |pin: &&u8| {
+            let same = pins.clone().filter(|other| other == pin).count();
+            same > 1 || usize::from(**pin) >= self.count()
+        };
+        pins.clone().find(wrong).copied()
     }
 }
 
@@ -114,6 +141,11 @@ pub enum ConfigError {
     NoShiftPin {
         /// Its index.
         output: usize,
+    },
+    /// A pin of the shift register is not there, or has two tasks.
+    ShiftPin {
+        /// Its number.
+        pin: u8,
     },
     /// C cannot move like this.
     C(NamedConfigError),
@@ -158,6 +190,12 @@ impl fmt::Display for ConfigError {
                 write!(
                     f,
                     "enable output {output}: it has no pin of the shift register"
+                )
+            }
+            Self::ShiftPin { pin } => {
+                write!(
+                    f,
+                    "pin {pin} of the shift register is not there or has two tasks"
                 )
             }
             Self::C(error) => write!(f, "C: {error}"),
@@ -236,6 +274,9 @@ impl MotionConfig {
             if config.external && pin.is_none() {
                 return Err(ConfigError::NoShiftPin { output });
             }
+        }
+        if let Some(pin) = self.shift.and_then(|shift| shift.wrong_pin()) {
+            return Err(ConfigError::ShiftPin { pin });
         }
         self.check_cd()
     }

@@ -26,6 +26,8 @@ pub(super) struct Drive {
     leg: Option<Leg>,
     /// Its way does not lead there yet.
     due: bool,
+    /// It rests at this time, and turns then by the shift register.
+    turns_at: Option<Ticks>,
 }
 
 /// A way to a place.
@@ -101,6 +103,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.drives[index] = Some(Drive {
             leg: Some(Leg { to_steps, how }),
             due: true,
+            turns_at: None,
         });
         self.pass_drives();
         Ok(())
@@ -212,7 +215,9 @@ impl<B: StepBackend> Motion<'_, B> {
             return;
         }
         for index in 0..self.axis_count {
-            if let Some(drive) = self.drives[index].filter(|drive| drive.due) {
+            let is_due =
+                |drive: &Drive| drive.due && drive.turns_at.is_none_or(|at| at <= self.now);
+            if let Some(drive) = self.drives[index].filter(is_due) {
                 self.change_way(index, drive);
             }
         }
@@ -241,23 +246,34 @@ impl<B: StepBackend> Motion<'_, B> {
         let leg = drive.leg.filter(|_| !self.is_held());
         let axes = &mut self.backend.axes()[..self.axis_count];
         let left = self.planner.leave_way(index, &mut axes[index], started_at);
+        self.set_due(index, false, None);
         match (left, leg) {
             (Left::Resting { at, base_steps }, leg) => {
                 if let Some(base_steps) = base_steps {
                     self.planned_steps[index] = base_steps;
                 }
-                if let Some(leg) = leg {
-                    self.begin_leg(index, leg, at);
+                let Some(leg) = leg else { return };
+                if !self.turn(index, leg.from(self.planned_steps[index])) {
+                    self.set_due(index, true, None);
+                    return;
                 }
+                // Time for the direction pin, if it has just been confirmed.
+                let settled = self.now.0 + self.timing[index].turn_ticks();
+                let waits = self.turns.is_external(index);
+                self.begin_leg(index, leg, if waits { at.max(settled) } else { at });
             }
             (Left::Moving(split), None) => {
                 self.slow_down(index, split);
             }
             (Left::Moving(split), Some(leg)) => self.turn_to(index, split, leg),
         }
+    }
+
+    /// What is held is due again when it goes on.
+    fn set_due(&mut self, index: usize, due: bool, turns_at: Option<Ticks>) {
         if let Some(drive) = self.drives[index].as_mut() {
-            // What is held is due again when it goes on.
-            drive.due = false;
+            drive.due = due;
+            drive.turns_at = turns_at;
         }
     }
 
@@ -272,7 +288,12 @@ impl<B: StepBackend> Motion<'_, B> {
         split.line.law = law;
         if Real::of_signed(way) < least {
             let end = self.slow_down(index, split);
-            self.begin_leg(index, leg, end);
+            let way = leg.from(self.planned_steps[index]);
+            if self.turns.must_turn(index, way) {
+                self.set_due(index, true, Some(Ticks(end)));
+            } else {
+                self.begin_leg(index, leg, end);
+            }
             return;
         }
         split.line.major_steps = way.unsigned_abs();
@@ -316,6 +337,17 @@ impl<B: StepBackend> Motion<'_, B> {
         self.pass_drives();
         if self.phase == Phase::Rest && self.begins_drive() {
             if !self.are_enabled(crate::io::enable::AxisSet::QUEUE, lead_ticks) {
+                return None;
+            }
+            let mut turned = true;
+            for index in 0..self.axis_count {
+                let leg = self.drives[index].filter(|drive| drive.due);
+                if let Some(leg) = leg.and_then(|drive| drive.leg) {
+                    turned &= self.turn(index, leg.from(self.planned_steps[index]));
+                }
+            }
+            if !turned {
+                self.waits_enable = true;
                 return None;
             }
             let at = self.now.max(self.quiet_at);

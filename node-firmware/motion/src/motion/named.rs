@@ -7,7 +7,7 @@
 
 use super::{Motion, MotionEvent, What, marks::Mark};
 use crate::{
-    StepBackend, Ticks,
+    Direction, StepBackend, Ticks,
     io::{
         enable::AxisSet,
         input::{Role, Switch},
@@ -16,7 +16,7 @@ use crate::{
             interval_ticks,
         },
     },
-    limits::TICKS_PER_US,
+    limits::{CHANNELS, TICKS_PER_US},
 };
 use core::fmt;
 
@@ -64,6 +64,21 @@ pub(super) struct Cd {
     origin_steps: i64,
     /// Where C goes, and when its last step is due.
     going: Option<(u8, Ticks)>,
+    /// What begins when the shift register has turned it.
+    turning: Option<Turning>,
+}
+
+/// What waits for its direction.
+#[derive(Clone, Copy, Debug)]
+enum Turning {
+    C {
+        index: u8,
+        steps: i64,
+        interval_ticks: u64,
+    },
+    D {
+        on: bool,
+    },
 }
 
 impl Cd {
@@ -77,6 +92,7 @@ impl Cd {
             d: SwitchD::new(config.d)?,
             origin_steps: 0,
             going: None,
+            turning: None,
         };
         for switch in [Switch::Min, Switch::Max] {
             if let Some(at) = cd.c.limit(switch, is_active(Role::C(switch))) {
@@ -129,6 +145,15 @@ impl<B: StepBackend> Motion<'_, B> {
 
     /// Takes what has ended by now.
     pub(super) fn pass_cd(&mut self) {
+        match self.cd.as_ref().and_then(|cd| cd.turning) {
+            Some(Turning::C {
+                index,
+                steps,
+                interval_ticks,
+            }) => self.run_c(index, steps, interval_ticks),
+            Some(Turning::D { on }) => self.begin_d(on),
+            None => {}
+        }
         let (Some(cd), Some(pins)) = (self.cd.as_mut(), self.backend.cd()) else {
             return;
         };
@@ -158,14 +183,43 @@ impl<B: StepBackend> Motion<'_, B> {
                     return;
                 };
                 let interval = interval_ticks(run.rate_hz).expect("it is 1 Hz at least");
-                let ticks = run.steps.unsigned_abs().saturating_mul(interval);
-                cd.going = Some((index, self.now.plus(ticks)));
-                pins.run_c(self.now, run.steps, interval);
+                self.run_c(index, run.steps, interval);
             }
         }
     }
 
+    /// Lets C go, once it points that way.
+    fn run_c(&mut self, index: u8, steps: i64, interval_ticks: u64) {
+        let turned = self.turn_beside(CHANNELS, Direction::of(steps));
+        let (Some(cd), Some(pins)) = (self.cd.as_mut(), self.backend.cd()) else {
+            return;
+        };
+        let waits = Turning::C {
+            index,
+            steps,
+            interval_ticks,
+        };
+        cd.turning = (!turned).then_some(waits);
+        if turned {
+            let ticks = steps.unsigned_abs().saturating_mul(interval_ticks);
+            cd.going = Some((index, self.now.plus(ticks)));
+            pins.run_c(self.now, steps, interval_ticks);
+        }
+    }
+
     pub(super) fn begin_d(&mut self, on: bool) {
+        let way = if on {
+            Direction::Positive
+        } else {
+            Direction::Negative
+        };
+        let turned = self.turn_beside(CHANNELS + 1, way);
+        if let Some(cd) = self.cd.as_mut() {
+            cd.turning = (!turned).then_some(Turning::D { on });
+        }
+        if !turned {
+            return;
+        }
         let (Some(cd), Some(pins)) = (self.cd.as_mut(), self.backend.cd()) else {
             return;
         };
@@ -189,7 +243,14 @@ impl<B: StepBackend> Motion<'_, B> {
         };
         pins.halt_c(self.now);
         cd.origin_steps = at.position_steps - pins.counted_c();
-        match cd.going.take() {
+        let waits = match cd.turning.take() {
+            Some(Turning::C { index, .. }) => Some((index, self.now)),
+            other => {
+                cd.turning = other;
+                None
+            }
+        };
+        match cd.going.take().or(waits) {
             Some((index, _)) if cd.c.index() == Some(usize::from(index)) => self.end_station(),
             Some(_) => self.fail_cd(CdError::Limit(switch)),
             None => {}
@@ -225,6 +286,7 @@ impl<B: StepBackend> Motion<'_, B> {
         pins.halt_c(self.now);
         pins.halt_d(self.now);
         cd.going = None;
+        cd.turning = None;
         cd.c.rest(cd.origin_steps + pins.counted_c());
         cd.d.stop();
         self.enables.rests(AxisSet::C.with(AxisSet::D), self.now);

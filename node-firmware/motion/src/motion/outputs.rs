@@ -13,6 +13,7 @@ use crate::{
         enable::{AxisSet, OUTPUTS_MAX, OutputChange, Start},
         shift::{SHIFT_PINS_MAX, ShiftEvent, ShiftPins},
     },
+    limits::CHANNELS,
 };
 use keys::Command;
 
@@ -38,6 +39,14 @@ impl Shift {
             config,
             pins: ShiftPins::new(count, 0, Ticks(0)),
         }
+    }
+
+    /// Turns an axis. Returns whether the pin is known to show it; `None`: it is no pin of this.
+    fn turn(&mut self, axis: usize, level: bool, now: Ticks) -> Option<bool> {
+        let pin = self.config.direction_pin_of(axis)?;
+        let set = self.pins.set(pin, level, now);
+        set.expect("the pin is below the count");
+        Some(self.pins.is_confirmed(pin) == Ok(true))
     }
 
     fn of(&mut self, output: usize) -> Option<(&mut ShiftPins, u8)> {
@@ -119,6 +128,15 @@ impl<B: StepBackend> Motion<'_, B> {
         self.enables.disable(axes).is_ok()
     }
 
+    /// Gives the direction pin of an axis a level. Returns whether it is known to show it; an axis
+    /// that is not behind the shift register always does.
+    pub(super) fn turn_pin(&mut self, axis: usize, level: bool) -> bool {
+        let now = self.now;
+        let shift = self.shift.as_mut();
+        let turned = shift.and_then(|shift| shift.turn(axis, level, now));
+        turned.unwrap_or(true)
+    }
+
     /// Switches an output: by the shift register if it is behind one.
     pub(super) fn pass_enables(&mut self) -> Option<MotionEvent> {
         while let Some(change) = self.enables.poll(self.now) {
@@ -157,6 +175,8 @@ impl<B: StepBackend> Motion<'_, B> {
     /// After a fault of the shift register: what it should show is sent anew.
     pub fn reset_shift(&mut self) {
         let now = self.now;
+        // Nobody knows what the pins show.
+        self.turns.headings = [None; CHANNELS];
         if let Some(shift) = self.shift.as_mut() {
             shift.pins.reset(now);
         }

@@ -1,0 +1,153 @@
+//! The arithmetic of a controlled stop: v² falls by 2a with each step, the interval is 2 / (v₀ + v₁).
+//! All of it without a division of more than 32 bits, which the chip does not have.
+
+use crate::limits::TICK_HZ;
+
+/// Twice the ticks of a second, in 1/1000: divided by the sum of two speeds in mHz it gives ticks.
+const TWICE: u64 = 2_000 * TICK_HZ;
+
+/// Returns the speed behind a step that leaves `square` (mHz²) of the speed's square, `lost` less
+/// than before; and the step's interval, ticks.
+pub(super) fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) {
+    match u32::try_from(speed_mhz) {
+        Ok(speed) if is_quick(speed, lost) => {
+            let (slower, interval) = slower(speed, lost);
+            (u64::from(slower), u64::from(interval))
+        }
+        _ => {
+            let slower = root(square);
+            (slower, quotient(TWICE, speed_mhz + slower))
+        }
+    }
+}
+
+/// Returns whether [`slower`] can compute a step.
+pub(super) fn is_quick(speed: u32, lost: u64) -> bool {
+    let square = u64::from(speed) * u64::from(speed);
+    speed >= SLOWER_MHZ_MIN && lost <= square >> SLOWER_BITS
+}
+
+/// Returns ⌊√square⌋, digit by digit: for the last few slow steps.
+fn root(mut square: u64) -> u64 {
+    let mut root = 0;
+    // The highest power of four that is not above it.
+    let mut bit = 1_u64 << ((63 - (square | 1).leading_zeros()) & !1);
+    while bit != 0 {
+        if square >= root + bit {
+            square -= root + bit;
+            root = (root >> 1) + bit;
+        } else {
+            root >>= 1;
+        }
+        bit >>= 2;
+    }
+    root
+}
+
+/// Returns ⌊dividend / divisor⌋, digit by digit; the divisor is not 0.
+fn quotient(mut dividend: u64, divisor: u64) -> u64 {
+    let places = divisor
+        .leading_zeros()
+        .saturating_sub(dividend.leading_zeros());
+    let mut quotient = 0;
+    for place in (0..=places).rev() {
+        quotient <<= 1;
+        if dividend >= divisor << place {
+            dividend -= divisor << place;
+            quotient |= 1;
+        }
+    }
+    quotient
+}
+
+/// A step is quick to compute while it loses less than 2⁻¹⁰ of the speed's square.
+const SLOWER_BITS: u32 = 10;
+
+/// Slower than 2 kHz its numbers need more than 64 bits, and a step more than a word.
+const SLOWER_MHZ_MIN: u32 = 1 << 21;
+
+/// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
+/// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
+/// mHz, from [`SLOWER_MHZ_MIN`].
+pub(super) fn slower(speed: u32, lost: u64) -> (u32, u32) {
+    let shift = speed.leading_zeros();
+    let divisor = u64::from(speed << shift);
+    let short = u64::from(u32::MAX / (divisor >> 16) as u32);
+    let error = (1 << 48) - (divisor * short) as i64;
+    // ≤ 2⁶³ / divisor, by less than 2⁻²⁸ of it.
+    let inverse = ((short << 15) as i64 + ((error * short as i64) >> 33)) as u64;
+    let inverse = inverse.min(u64::from(u32::MAX));
+    // √(v² - l) = v - l/2v - (l/2v)²/2v …
+    let over_twice = |value: u64| (((value << shift) >> 32) * inverse) >> 32;
+    let first = over_twice(lost);
+    let mut slower = u64::from(speed) - first - over_twice(first * first);
+    let square = u64::from(speed) * u64::from(speed) - lost;
+    while slower * slower > square {
+        slower -= 1;
+    }
+    while (slower + 1) * (slower + 1) <= square {
+        slower += 1;
+    }
+    let sum = u64::from(speed) + slower;
+    let mut interval = (((TWICE << shift) >> 16) * inverse) >> 48;
+    while (interval + 1) * sum <= TWICE {
+        interval += 1;
+    }
+    while interval * sum > TWICE {
+        interval -= 1;
+    }
+    (slower as u32, interval as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_controlled_stop_has_its_speeds_and_intervals_to_the_last_unit() {
+        let mut state = 4_u64;
+        let mut next = |bits: u64| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 20) & ((1 << bits) - 1)
+        };
+        for case in 0..1_000_000 {
+            let speed = (next(21 + case % 12) as u32) | SLOWER_MHZ_MIN;
+            let square = u64::from(speed) * u64::from(speed);
+            let lost = match case % 4 {
+                0 => square >> SLOWER_BITS,
+                1 => 2_000_000 * next(1 + case % 31),
+                _ => next(1 + case % 52),
+            };
+            let lost = lost.min(square >> SLOWER_BITS);
+            let root = (square - lost).isqrt();
+            let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
+            let found = slower(speed, lost);
+            assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
+            let found = slower_step(u64::from(speed), square - lost, lost);
+            assert_eq!(found, (root, interval), "{speed} {lost}");
+        }
+    }
+
+    #[test]
+    fn slow_and_hard_stops_have_their_speeds_and_intervals_to_the_last_unit() {
+        let mut state = 9_u64;
+        for case in 0..200_000_u32 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            let speed = 1 + ((state >> 20) & ((1 << (case % 31)) - 1));
+            let square = speed * speed;
+            let lost = match case % 3 {
+                0 => square,
+                1 => square - square / 3,
+                _ => (state >> 7) % (square + 1),
+            };
+            let slower = (square - lost).isqrt();
+            let interval = TWICE / (speed + slower);
+            let found = slower_step(speed, square - lost, lost);
+            assert_eq!(found, (slower, interval), "{speed} {lost}");
+        }
+    }
+}
