@@ -14,6 +14,9 @@
 //! | `start` | [`StartMessage`](crate::start::StartMessage) | both | real-time | block |
 //! | `report` | [`ScriptReport`](crate::ScriptReport) | node → gateway | data-high | block; said again until it is seen |
 //! | `data` | JSON, on `data/SUFFIX`: what a script publishes | node → client | data | drop |
+//! | `pace` | [`PaceMessage`](crate::pace::PaceMessage) | both | real-time | block; said again until it is seen |
+//! | `hold`, `resume` | empty | client → gateway | real-time | block |
+//! | `speed` | `{"percent":…}` | client → gateway | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
 
 /// What is said below one node's key.
@@ -45,11 +48,19 @@ pub enum NodeTopic {
     Report,
     /// What a script publishes.
     Data,
+    /// Hold and speed of what the node executes.
+    Pace,
+    /// Comes to rest on the path, to go on later.
+    Hold,
+    /// Goes on after a hold.
+    Resume,
+    /// Another speed.
+    Speed,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 17] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -63,6 +74,10 @@ impl NodeTopic {
         Self::Alive,
         Self::Report,
         Self::Data,
+        Self::Pace,
+        Self::Hold,
+        Self::Resume,
+        Self::Speed,
     ];
 
     /// Returns the last chunk of the key.
@@ -81,6 +96,10 @@ impl NodeTopic {
             Self::Alive => "alive",
             Self::Report => "report",
             Self::Data => "data",
+            Self::Pace => "pace",
+            Self::Hold => "hold",
+            Self::Resume => "resume",
+            Self::Speed => "speed",
         }
     }
 

@@ -131,6 +131,8 @@ pub struct EmulatedNode {
     stops: Vec<keys::StopReport>,
     edges: Vec<PinEvent>,
     inputs: Vec<InputEdge>,
+    /// See [`Life::paced`].
+    paced: bool,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -189,6 +191,7 @@ impl EmulatedNode {
             stops: Vec::new(),
             edges: Vec::new(),
             inputs: Vec::new(),
+            paced: false,
             cut: false,
             past: Vec::new(),
             vcd: None,
@@ -432,6 +435,7 @@ impl EmulatedNode {
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
+            paced: self.paced,
             cut: self.cut,
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -461,6 +465,7 @@ impl EmulatedNode {
             homes: self.config.home_facts(),
             inverted: self.config.inverted(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
+            paced: mem::take(&mut self.paced),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -531,6 +536,7 @@ impl EmulatedNode {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
+        self.paced |= self.node.is_held() || self.node.speed_percent() != 100;
         let queued = mem::take(&mut self.node.outputs_mut().queued);
         if let Recording::Edges { max } = self.config.record
             && !self.cut
