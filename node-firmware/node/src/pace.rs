@@ -1,6 +1,7 @@
 //! Hold, resume and speed, for clients and for scripts: one state, told at each change.
 //!
-//! Owns the count of changes by which a late word has no effect. Motion does the work. A start that is
+//! Owns the count of changes by which a late word has no effect: one for each word that was taken, and for
+//! each change by a script or a stop. Motion does the work. A start that is
 //! agreed is not held back, since the others would go without this node: the hold counts from then on.
 //! A stop ends a hold; the speed stays until it is changed or the node boots.
 
@@ -15,7 +16,7 @@ use motion::StepBackend;
 /// See the module.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
-    /// Changes since boot.
+    /// Changes since boot, with words that changed nothing.
     change: u32,
     /// A hold waits for an agreed start to be over.
     hold_due: bool,
@@ -67,6 +68,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                     Some(false) => self.resume(),
                     None => {}
                 }
+                // Also if all is as before: what was said with the same number is old now.
+                self.count_change();
             }
         }
     }
@@ -120,13 +123,16 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             self.pace.hold_due = false;
             self.motion.hold(crate::ticks_from_local(now));
         }
-        let pace = (self.is_held(), self.pace.percent);
-        if pace != self.pace.counted {
-            self.pace.counted = pace;
-            self.pace.change = self.pace.change.wrapping_add(1);
-            self.pace.due = true;
-            self.status_due = true;
+        if (self.is_held(), self.pace.percent) != self.pace.counted {
+            self.count_change();
         }
+    }
+
+    fn count_change(&mut self) {
+        self.pace.counted = (self.is_held(), self.pace.percent);
+        self.pace.change = self.pace.change.wrapping_add(1);
+        self.pace.due = true;
+        self.status_due = true;
     }
 
     /// Returns what is told.

@@ -506,7 +506,7 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
     }
 
     fn input(&self, name: &str) -> Option<bool> {
-        (name == "stop").then_some(self.node.stop_pin_active)
+        self.node.input_named(name)
     }
 
     fn print(&mut self, line: &str) {

@@ -55,6 +55,8 @@ pub(super) struct Pace {
     /// The last that it told of its present boot: the number of the change, and how it is.
     told: Option<(u32, PaceRecord)>,
     wish: Option<OpenWish>,
+    /// The number of the change that was said last: until another one is told, a word may be on its way.
+    said: Option<u32>,
     /// When it is asked again, while nothing is known.
     ask_at: Option<FleetMicros>,
 }
@@ -137,6 +139,7 @@ impl Node {
     /// Another boot, or it is gone: nothing is known.
     pub(super) fn forget_pace(&mut self) {
         self.pace.told = None;
+        self.pace.said = None;
         self.pace.ask_at = None;
     }
 
@@ -156,8 +159,8 @@ impl Node {
 
     /// Says what is due.
     pub(super) fn say_pace(&mut self, turn: &mut Turn<'_>) {
-        if !self.facts.features.has(Features::PACE) || self.status.is_none() {
-            return;
+        if !self.knows_pace() {
+            return self.give_up_wish(turn);
         }
         let again_at = turn.now.plus_us(self.round_trip.retry_us());
         let Some((change, pace)) = self.pace.told else {
@@ -170,7 +173,8 @@ impl Node {
         let Some(open) = &mut self.pace.wish else {
             return;
         };
-        if open.wish.is_so(pace) {
+        // A word of somebody else that is still on its way could undo it.
+        if open.wish.is_so(pace) && self.pace.said != Some(change) {
             let receipt = PaceReceipt {
                 node: self.id,
                 pace,
@@ -192,6 +196,7 @@ impl Node {
         }
         if turn.now >= open.send_at {
             open.send_at = again_at;
+            self.pace.said = Some(change);
             let set = PaceMessage::Set {
                 boot: self.facts.queue.boot,
                 change,
@@ -221,12 +226,18 @@ impl Node {
     /// Returns when [`Node::say_pace`] is due.
     pub(super) fn pace_timeout(&self) -> Option<FleetMicros> {
         let wish = self.pace.wish.as_ref();
-        let wish = wish.map(|open| open.send_at.min(open.give_up_at));
-        let asks = self.facts.features.has(Features::PACE) && self.pace.told.is_none();
-        [wish, self.pace.ask_at.filter(|_| asks)]
-            .into_iter()
-            .flatten()
-            .min()
+        let says_at = match self.pace.told {
+            _ if !self.knows_pace() => None,
+            None => Some(self.pace.ask_at.unwrap_or(FleetMicros(0))),
+            Some(_) => wish.map(|open| open.send_at),
+        };
+        let give_up_at = wish.map(|open| open.give_up_at);
+        [says_at, give_up_at].into_iter().flatten().min()
+    }
+
+    /// Returns whether its firmware takes words about the pace.
+    fn knows_pace(&self) -> bool {
+        self.status.is_some() && self.facts.features.has(Features::PACE)
     }
 
     /// Returns what clients see of it.
