@@ -508,7 +508,8 @@ fn reply_of(event: &Event) -> Option<ReplyTo> {
         Event::Submit { reply, .. }
         | Event::SubmitGroup { reply, .. }
         | Event::Cancel { reply, .. }
-        | Event::Release { reply, .. } => *reply,
+        | Event::Release { reply, .. }
+        | Event::Pace { reply, .. } => *reply,
         Event::GetJobs { reply, .. } | Event::GetNodes { reply, .. } => Some(*reply),
         Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,
     }

@@ -291,6 +291,9 @@ fn without_a_gateway_every_client_ends_with_3_and_says_so() {
         &["cancel", "part-1"],
         &["stop"],
         &["release"],
+        &["hold", "left"],
+        &["resume", "left"],
+        &["speed", "left", "50"],
         &["submit", file, "--node", "left"],
     ] {
         let ran = fleet(&[line, &["--connect", &connect], &PATIENT].concat());

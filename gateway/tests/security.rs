@@ -292,6 +292,8 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
     until(&bob, "left", |record| record.alive).await;
     put(&bob, "fleet/node/left/job", job("bobs").to_string()).await;
     put(&bob, "fleet/group/g/job", "{}").await;
+    put(&bob, "fleet/node/left/speed", "{\"percent\":50}").await;
+    put(&bob, "fleet/node/left/hold", "").await;
     put(&bob, "fleet/node/left/stop", "").await;
     until(&bob, "left", |record| record.stopped.is_some()).await;
     assert!(!job_exists(&alice, "bobs").await);
@@ -303,7 +305,21 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
     assert_eq!(error.error.code.as_str(), "stopped");
     let released = ask(&alice, "fleet/node/left/release", None).await;
     assert!(released[0].is_ok(), "{released:?}");
-    until(&alice, "left", |record| record.stopped.is_none()).await;
+    let record = until(&alice, "left", |record| record.stopped.is_none()).await;
+    let pace = record.pace.expect("the node has told it");
+    assert_eq!(
+        pace.percent, 100,
+        "a speed survives a stop: his was never heard"
+    );
+    for (word, hold) in [("hold", true), ("resume", false)] {
+        let key = format!("fleet/node/left/{word}");
+        let answers = ask(&alice, &key, None).await;
+        assert!(answers[0].is_ok(), "{answers:?}");
+        until(&alice, "left", |record| {
+            record.pace.is_some_and(|pace| pace.hold == hold)
+        })
+        .await;
+    }
     in_time(left.shutdown()).await;
     in_time(plant.service.shutdown())
         .await

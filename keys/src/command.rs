@@ -156,6 +156,9 @@ impl Features {
     /// `movc`, `movd`, `statcd`.
     pub const CD: Self = Self(32);
 
+    /// Hold, resume and speed for clients.
+    pub const PACE: Self = Self(64);
+
     /// `home` of this axis: a bit from 2²⁴ on for each, because it takes a switch.
     pub const fn home_of(axis: AxisId) -> Self {
         match 1_u32.checked_shl(24 + axis.0 as u32) {

@@ -27,6 +27,7 @@ pub mod ids;
 #[cfg(feature = "json")]
 pub mod job;
 pub mod key;
+pub mod pace;
 #[cfg(feature = "json")]
 pub mod record;
 pub mod script;

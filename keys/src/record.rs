@@ -359,6 +359,25 @@ pub struct FaultRecord {
     pub at: FleetMicros,
 }
 
+/// Whether a node is held, and how fast it executes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PaceRecord {
+    /// It rests on its path, or is about to.
+    pub hold: bool,
+    /// Speed, percent of what the commands ask for.
+    pub percent: u16,
+}
+
+/// The reply to a hold, a resume or a speed that was got: `{"node":…,"hold":…,"percent":…}`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PaceReceipt {
+    /// The node.
+    pub node: NodeId,
+    /// How it is now.
+    #[serde(flatten)]
+    pub pace: PaceRecord,
+}
+
 /// A node's record, on `PREFIX/node/NODE/state`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeRecord {
@@ -386,6 +405,9 @@ pub struct NodeRecord {
     pub rssi_dbm: Option<i8>,
     /// Its last faults, oldest first.
     pub faults: Vec<FaultRecord>,
+    /// Whether it is held, and its speed, when it has said so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pace: Option<PaceRecord>,
 }
 
 /// Writes a record as JSON.

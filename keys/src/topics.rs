@@ -14,6 +14,9 @@
 //! | `start` | [`StartMessage`](crate::start::StartMessage) | both | real-time | block |
 //! | `report` | [`ScriptReport`](crate::ScriptReport) | node → gateway | data-high | block; said again until it is seen |
 //! | `data` | JSON, on `data/SUFFIX`: what a script publishes | node → client | data | drop |
+//! | `pace` | [`PaceMessage`](crate::pace::PaceMessage) | both | real-time | block; said again until it is seen |
+//! | `hold`, `resume` | empty | client → gateway | real-time | block |
+//! | `speed` | `{"percent":…}` | client → gateway | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
 //! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
 
@@ -48,11 +51,19 @@ pub enum NodeTopic {
     Data,
     /// Another firmware.
     Update,
+    /// Hold and speed of what the node executes.
+    Pace,
+    /// Comes to rest on the path, to go on later.
+    Hold,
+    /// Goes on after a hold.
+    Resume,
+    /// Another speed.
+    Speed,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 18] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -67,6 +78,10 @@ impl NodeTopic {
         Self::Report,
         Self::Data,
         Self::Update,
+        Self::Pace,
+        Self::Hold,
+        Self::Resume,
+        Self::Speed,
     ];
 
     /// Returns the last chunk of the key.
@@ -86,6 +101,10 @@ impl NodeTopic {
             Self::Report => "report",
             Self::Data => "data",
             Self::Update => "update",
+            Self::Pace => "pace",
+            Self::Hold => "hold",
+            Self::Resume => "resume",
+            Self::Speed => "speed",
         }
     }
 

@@ -10,6 +10,7 @@ use keys::{
     batch::BatchWriter,
     clock::{ClockMessage, ClockProbe, ClockReply},
     command::{Ramp, RampShape},
+    pace::PaceMessage,
     start::{BarrierName, StartMessage},
     status::{DecodeError, FaultCode},
     version,
@@ -387,6 +388,30 @@ fn start_messages_have_their_bytes() {
         first_edge_at: LocalMicros(2_000_001),
     };
     check(started, "01 05 f8 ac d1 91 01 03 ac 02 81 89 7a");
+}
+
+#[test]
+fn pace_messages_have_their_bytes() {
+    check(PaceMessage::Ask, "01 00");
+    let set = |hold, percent| PaceMessage::Set {
+        boot: QUEUE.boot,
+        change: 300,
+        hold,
+        percent,
+    };
+    check(set(Some(true), None), "01 01 f8 ac d1 91 01 ac 02 01 01 00");
+    check(
+        set(None, Some(400)),
+        "01 01 f8 ac d1 91 01 ac 02 00 01 90 03",
+    );
+    let told = PaceMessage::Told {
+        boot: QUEUE.boot,
+        change: 300,
+        hold: true,
+        percent: 50,
+    };
+    check(told, "01 02 f8 ac d1 91 01 ac 02 01 32");
+    check(Features::PACE, "01 40");
 }
 
 #[test]

@@ -163,7 +163,8 @@ function lidar.read(timeout_ms) end
 
 input = {}
 
----Whether an input is active.
+---Whether an input is active. `stop` is always there; others if the node's configuration has them: the
+---switches `0:min`, `0:max` and `0:home` of axis 0 and so on, `c:min`, `c:max`, `d:min`, `d:max`, and `probe`.
 ---@param name string
 ---@return boolean
 function input.read(name) end

@@ -14,6 +14,7 @@ use gateway::{
     fleet::{
         FleetConfig,
         event::{Effect, Event, ReplyTo},
+        node::Wish,
     },
     job::parse,
 };
@@ -268,6 +269,17 @@ impl World {
         let reply = self.ask();
         self.tell(Event::Release {
             pattern: node.to_owned(),
+            reply: Some(reply),
+        });
+        reply
+    }
+
+    /// Holds, resumes or changes the speed of a node.
+    pub fn pace(&mut self, node: &str, wish: Wish) -> ReplyTo {
+        let reply = self.ask();
+        self.tell(Event::Pace {
+            pattern: node.to_owned(),
+            wish: Ok(wish),
             reply: Some(reply),
         });
         reply
@@ -548,6 +560,7 @@ impl World {
                     | NodeTopic::Clock
                     | NodeTopic::Start
                     | NodeTopic::Report
+                    | NodeTopic::Pace
             );
             // Into a broken link a node can speak until it notices.
             if wired && of_gateway {

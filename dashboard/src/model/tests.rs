@@ -63,6 +63,7 @@ pub(super) fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
         uptime_s: 0,
         rssi_dbm: None,
         faults: Vec::new(),
+        pace: None,
     })
 }
 

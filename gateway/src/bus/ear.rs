@@ -8,7 +8,10 @@
 //! job, a cancel or a release: a tool that looks at everything must not move a motor.
 
 use super::{Addressee, Arrived, GETS_OPEN_MAX, Inbox, WallClock, busy, zenoh::Payload};
-use crate::fleet::event::{Event, ReplyTo};
+use crate::{
+    fleet::event::{Event, ReplyTo},
+    job::parse::wish_from,
+};
 use keys::{
     Keys, NodeId, NodeTopic, Stop, Topic,
     record::{ErrorReply, JobError, to_json},
@@ -178,6 +181,14 @@ impl Ear {
                 pattern,
                 reply: None,
             }),
+            Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {
+                let wish = wish_from(topic, &sample.payload().to_bytes());
+                self.inbox.event(Event::Pace {
+                    pattern,
+                    wish,
+                    reply: None,
+                })
+            }
             Door::Node(topic) => {
                 let Ok(node) = NodeId::new(name) else { return };
                 let event = Event::FromNode {
@@ -217,6 +228,15 @@ impl Ear {
             Door::GroupJob => job(Addressee::Group(pattern)),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
             Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
+            Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {
+                let payload = query.payload().map(|payload| payload.to_bytes());
+                let wish = wish_from(topic, &payload.unwrap_or_default());
+                self.inbox.event(Event::Pace {
+                    pattern,
+                    wish,
+                    reply,
+                })
+            }
             Door::Node(_) => self.inbox.event(Event::GetNodes { pattern, reply: to }),
             Door::Job => self.inbox.event(Event::GetJobs {
                 pattern,

@@ -243,8 +243,12 @@ impl Bus {
             (&self.swift, Door::Node(NodeTopic::Stop)),
             // By the way of the stop, so that it stays behind the stop that its client sent before.
             (&self.swift, Door::Node(NodeTopic::Release)),
+            (&self.swift, Door::Node(NodeTopic::Hold)),
+            (&self.swift, Door::Node(NodeTopic::Resume)),
+            (&self.swift, Door::Node(NodeTopic::Speed)),
             (&self.swift, Door::Node(NodeTopic::Clock)),
             (&self.swift, Door::Node(NodeTopic::Start)),
+            (&self.swift, Door::Node(NodeTopic::Pace)),
         ] {
             let ear = ear(door);
             let subscriber = session
@@ -261,6 +265,9 @@ impl Bus {
             (&self.main, Door::GroupJob),
             (&self.main, Door::JobCancel),
             (&self.swift, Door::Node(NodeTopic::Release)),
+            (&self.swift, Door::Node(NodeTopic::Hold)),
+            (&self.swift, Door::Node(NodeTopic::Resume)),
+            (&self.swift, Door::Node(NodeTopic::Speed)),
             (&self.main, Door::Node(NodeTopic::State)),
             (&self.main, Door::Job),
         ] {

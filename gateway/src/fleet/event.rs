@@ -7,6 +7,7 @@
 //! clock probes, and what is said of a start whose plan is durable depend on no write and overtake
 //! everything.
 
+use super::node::Wish;
 use keys::{
     JobId, NodeId, NodeTopic, StopMode,
     job::{GroupRequest, JobRequest},
@@ -54,6 +55,15 @@ pub enum Event {
         /// A node's name, or a wild chunk.
         pattern: String,
         /// Who waits for the node record.
+        reply: Option<ReplyTo>,
+    },
+    /// `PREFIX/node/PATTERN/hold`, `…/resume` and `…/speed`.
+    Pace {
+        /// A node's name, or a wild chunk.
+        pattern: String,
+        /// What is wanted, or what is wrong with it.
+        wish: Result<Wish, JobError>,
+        /// Who waits for a receipt.
         reply: Option<ReplyTo>,
     },
     /// `PREFIX/node/PATTERN/stop`: the nodes hear it themselves, the fleet draws its conclusions.

@@ -38,11 +38,12 @@ use group::Group;
 use keys::{
     BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, ScriptReport, Status, StopMode,
     clock::ClockMessage,
+    pace::PaceMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
     start::StartMessage,
     version,
 };
-use node::{Node, Turn};
+use node::{Node, Turn, Wish};
 use pattern::Pattern;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use timers::Timers;
@@ -116,7 +117,7 @@ pub struct Fleet {
     started: BTreeSet<JobId>,
     group_timers: Timers<JobId>,
     split_start_count: u64,
-    /// Gets on `release` and how many nodes still have to answer.
+    /// Gets on `release`, `hold`, `resume` and `speed`, and how many nodes still have to answer.
     releases: HashMap<ReplyTo, usize>,
     now: FleetMicros,
     /// When this fleet heard its first event.
@@ -172,6 +173,11 @@ impl Fleet {
             } => self.submit_group(&pattern, request, id_hint, reply, effects),
             Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
             Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
+            Event::Pace {
+                pattern,
+                wish,
+                reply,
+            } => self.pace(&pattern, wish, reply, effects),
             Event::Stop { pattern, mode } => {
                 for id in self.matching(&pattern) {
                     self.with_node(id, effects, |node, turn| node.handle_stop(mode, turn));
@@ -286,6 +292,12 @@ impl Fleet {
                 Ok(ClockMessage::Probe(_)) => {}
                 Err(_) => self.ignored_count += 1,
             },
+            NodeTopic::Pace => match version::decode::<PaceMessage>(payload) {
+                Ok(message) => {
+                    self.with_node(id, effects, |node, turn| node.handle_pace(message, turn));
+                }
+                Err(_) => self.ignored_count += 1,
+            },
             NodeTopic::Report => match ScriptReport::decode(payload) {
                 Ok((report, text)) => {
                     self.with_node(id, effects, |node, turn| {
@@ -333,9 +345,20 @@ impl Fleet {
             self.book.touch(&job);
         }
         for release in released {
-            let reply = match release.outcome {
-                Ok(()) => self.node_reply(&id, release.to),
-                Err(error) => Some(error_reply(release.to, error)),
+            let reply = match (release.outcome, release.receipt) {
+                (Ok(()), None) => self.node_reply(&id, release.to),
+                (Ok(()), Some(payload)) => Some(Effect::Reply {
+                    to: release.to,
+                    key: Some(
+                        self.config
+                            .keys
+                            .node(&id, NodeTopic::State)
+                            .as_str()
+                            .to_owned(),
+                    ),
+                    payload,
+                }),
+                (Err(error), _) => Some(error_reply(release.to, error)),
             };
             effects.extend(reply);
             self.end_release(release.to, effects);
@@ -382,21 +405,54 @@ impl Fleet {
     }
 
     fn release(&mut self, pattern: &str, reply: Option<ReplyTo>, effects: &mut Vec<Effect>) {
-        let mut alive = self.matching(pattern);
-        alive.retain(|id| self.nodes[id].is_alive());
-        if alive.is_empty() {
-            if let Some(to) = reply {
-                effects.push(error_reply(to, self.nobody(pattern)));
-                effects.push(Effect::ReplyEnd { to });
-            }
-            return;
-        }
-        if let Some(to) = reply {
-            self.releases.insert(to, alive.len());
-        }
-        for id in alive {
+        for id in self.begin_release(pattern, reply, effects) {
             self.with_node(id, effects, |node, turn| node.handle_release(reply, turn));
         }
+    }
+
+    fn pace(
+        &mut self,
+        pattern: &str,
+        wish: Result<Wish, JobError>,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) {
+        match wish {
+            Ok(wish) => {
+                for id in self.begin_release(pattern, reply, effects) {
+                    self.with_node(id, effects, |node, turn| {
+                        node.handle_wish(wish, reply, turn)
+                    });
+                }
+            }
+            Err(error) => {
+                if let Some(to) = reply {
+                    effects.push(error_reply(to, error));
+                    effects.push(Effect::ReplyEnd { to });
+                }
+            }
+        }
+    }
+
+    /// Returns the nodes that are there and are meant; each of them answers once. Without any, the
+    /// answer is that.
+    fn begin_release(
+        &mut self,
+        pattern: &str,
+        reply: Option<ReplyTo>,
+        effects: &mut Vec<Effect>,
+    ) -> Vec<NodeId> {
+        let mut alive = self.matching(pattern);
+        alive.retain(|id| self.nodes[id].is_alive());
+        if let Some(to) = reply {
+            if alive.is_empty() {
+                effects.push(error_reply(to, self.nobody(pattern)));
+                effects.push(Effect::ReplyEnd { to });
+            } else {
+                self.releases.insert(to, alive.len());
+            }
+        }
+        alive
     }
 
     fn end_release(&mut self, to: ReplyTo, effects: &mut Vec<Effect>) {

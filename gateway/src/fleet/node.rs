@@ -23,7 +23,10 @@
 
 mod act;
 mod hear;
+mod pace;
 mod show;
+
+pub use pace::Wish;
 
 use super::{
     FleetConfig,
@@ -97,11 +100,31 @@ pub(super) struct Turn<'t> {
     pub(super) may_probe: bool,
 }
 
-/// What became of a get on `release`.
+/// What became of a get on `release`, `hold`, `resume` or `speed`.
 pub(super) struct Released {
     pub(super) to: ReplyTo,
-    /// Why the latch is still there; `Ok`: it is not.
+    /// Why it is not as wished; `Ok`: it is.
     pub(super) outcome: Result<(), JobError>,
+    /// What the reply says; `None`: the node's record.
+    pub(super) receipt: Option<Vec<u8>>,
+}
+
+impl Released {
+    fn done(to: ReplyTo) -> Self {
+        Self {
+            to,
+            outcome: Ok(()),
+            receipt: None,
+        }
+    }
+
+    fn refused(to: ReplyTo, error: JobError) -> Self {
+        Self {
+            to,
+            outcome: Err(error),
+            receipt: None,
+        }
+    }
 }
 
 impl Turn<'_> {
@@ -183,6 +206,7 @@ pub struct Node {
     cancel: Repeat,
     stop: Repeat,
     release: Option<ReleaseWish>,
+    pace: pace::Pace,
     clock: ClockTrack,
     probe_at: Option<FleetMicros>,
     next_probe: u32,
@@ -215,6 +239,7 @@ impl Node {
             cancel: Repeat::default(),
             stop: Repeat::default(),
             release: None,
+            pace: pace::Pace::default(),
             clock: ClockTrack::new(),
             probe_at: None,
             next_probe: 1,
@@ -462,15 +487,13 @@ impl Node {
         if let Some(wish) = self.release.take() {
             self.refuse_release(wish, "the node was stopped again", turn);
         }
+        self.refuse_wish(ErrorCode::Stopped, "the node was stopped", turn);
     }
 
     /// Somebody wants the latch lifted; `reply` is answered when it is, or when it cannot be.
     pub(super) fn handle_release(&mut self, reply: Option<ReplyTo>, turn: &mut Turn<'_>) {
         if !self.is_stopped() {
-            turn.released.extend(reply.map(|to| Released {
-                to,
-                outcome: Ok(()),
-            }));
+            turn.released.extend(reply.map(Released::done));
             return;
         }
         let wish = self.release.get_or_insert_with(|| ReleaseWish {
@@ -484,10 +507,7 @@ impl Node {
                     ErrorCode::TooLarge,
                     "too many releases of this node wait for an answer",
                 );
-                turn.released.push(Released {
-                    to: reply,
-                    outcome: Err(error),
-                });
+                turn.released.push(Released::refused(reply, error));
                 return;
             }
             wish.waiters.push(reply);
@@ -497,10 +517,7 @@ impl Node {
     fn refuse_release(&mut self, wish: ReleaseWish, message: &str, turn: &mut Turn<'_>) {
         for to in wish.waiters {
             let error = JobError::new(ErrorCode::NotAllowed, message);
-            turn.released.push(Released {
-                to,
-                outcome: Err(error),
-            });
+            turn.released.push(Released::refused(to, error));
         }
     }
 }

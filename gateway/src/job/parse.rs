@@ -4,11 +4,52 @@
 //! Promises: nothing is guessed. An encoding that is not in the contract is refused, however much
 //! the payload may look like a job. Absent on purpose: anything that needs to know a node.
 
+use crate::fleet::node::Wish;
 use keys::{
-    JobId,
+    JobId, NodeTopic,
     job::{GroupRequest, JOB_BYTES_MAX, JobRequest, Offline, Work},
+    pace::{SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
     record::{ErrorCode, JobError},
 };
+
+/// Reads what a client wants of a node's pace: nothing on `hold` and `resume`, `{"percent":50}` on
+/// `speed`.
+///
+/// # Errors
+/// Something else, or a percentage out of range.
+pub fn wish_from(topic: NodeTopic, payload: &[u8]) -> Result<Wish, JobError> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Speed {
+        percent: i64,
+    }
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Nothing {}
+
+    let bad = |error: serde_json::Error| JobError::new(ErrorCode::BadJson, error.to_string());
+    if topic != NodeTopic::Speed {
+        if !payload.is_empty() {
+            serde_json::from_slice::<Nothing>(payload).map_err(bad)?;
+        }
+        return Ok(Wish {
+            hold: Some(topic == NodeTopic::Hold),
+            percent: None,
+        });
+    }
+    let speed: Speed = serde_json::from_slice(payload).map_err(bad)?;
+    let percent = u16::try_from(speed.percent)
+        .ok()
+        .filter(|percent| (SPEED_PERCENT_MIN..=SPEED_PERCENT_MAX).contains(percent))
+        .ok_or_else(|| {
+            let message = format!("percent: must be {SPEED_PERCENT_MIN} to {SPEED_PERCENT_MAX}");
+            JobError::new(ErrorCode::BadCommand, message)
+        })?;
+    Ok(Wish {
+        hold: None,
+        percent: Some(percent),
+    })
+}
 
 /// What a payload turned out to be.
 #[derive(Clone, Debug, PartialEq)]
@@ -149,6 +190,40 @@ impl Form {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wish_is_nothing_or_a_percentage_in_range() {
+        let code = |topic, payload: &str| wish_from(topic, payload.as_bytes()).map_err(|e| e.code);
+        let (hold, speed) = (NodeTopic::Hold, NodeTopic::Speed);
+        let held = |hold| Wish {
+            hold: Some(hold),
+            percent: None,
+        };
+        assert_eq!(code(hold, ""), Ok(held(true)));
+        assert_eq!(code(hold, "{}"), Ok(held(true)));
+        assert_eq!(code(NodeTopic::Resume, ""), Ok(held(false)));
+        for percent in [1, 50, 400] {
+            let wish = code(speed, &format!("{{\"percent\":{percent}}}"));
+            assert_eq!(wish.map(|wish| wish.percent), Ok(Some(percent)));
+        }
+        for payload in ["{\"percent\":0}", "{\"percent\":401}", "{\"percent\":-1}"] {
+            assert_eq!(
+                code(speed, payload),
+                Err(ErrorCode::BadCommand),
+                "{payload}"
+            );
+        }
+        for payload in [
+            "",
+            "50",
+            "{}",
+            "{\"percent\":1.5}",
+            "{\"percent\":1,\"x\":1}",
+        ] {
+            assert_eq!(code(speed, payload), Err(ErrorCode::BadJson), "{payload}");
+        }
+        assert_eq!(code(hold, "{\"percent\":1}"), Err(ErrorCode::BadJson));
+    }
 
     const JOB: &[u8] = br#" {"id":"a-1","commands":[{"pause":{"ms":5}}]}"#;
 

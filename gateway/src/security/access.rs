@@ -2,9 +2,9 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, stored scripts | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
-//! | node | its own status, ack, clock, start, log, report, data | its own orders, and every stop |
+//! | node | its own status, ack, clock, start, pace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
 //! A node cannot speak as another, whatever key it uses: rules go by the name under which it
@@ -16,7 +16,8 @@ use keys::{Keys, NodeId, NodeTopic};
 use serde_json::{Value, json};
 
 /// What a node says.
-const SAID: [NodeTopic; 6] = [
+const SAID: [NodeTopic; 7] = [
+    NodeTopic::Pace,
     NodeTopic::Report,
     NodeTopic::Status,
     NodeTopic::Ack,
@@ -26,7 +27,8 @@ const SAID: [NodeTopic; 6] = [
 ];
 
 /// What a node hears.
-const HEARD: [NodeTopic; 5] = [
+const HEARD: [NodeTopic; 6] = [
+    NodeTopic::Pace,
     NodeTopic::Batch,
     NodeTopic::Stop,
     NodeTopic::Release,
@@ -90,7 +92,13 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     rules.add("answers", &["egress"], &["reply"], read);
     rules.add("stop", &["ingress"], &["put"], each(&[NodeTopic::Stop]));
 
-    let mut work = each(&[NodeTopic::Job, NodeTopic::Release]);
+    let mut work = each(&[
+        NodeTopic::Job,
+        NodeTopic::Release,
+        NodeTopic::Hold,
+        NodeTopic::Resume,
+        NodeTopic::Speed,
+    ]);
     work.extend([
         format!("{prefix}/group/*/job"),
         format!("{prefix}/job/*/cancel"),

@@ -138,6 +138,8 @@ pub struct EmulatedNode {
     edges: Vec<PinEvent>,
     inputs: Vec<InputEdge>,
     holds: Vec<Held>,
+    /// See [`Life::paced`].
+    paced: bool,
     cut: bool,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
@@ -199,6 +201,7 @@ impl EmulatedNode {
             edges: Vec::new(),
             inputs: Vec::new(),
             holds: Vec::new(),
+            paced: false,
             cut: false,
             past: Vec::new(),
             vcd: None,
@@ -505,6 +508,7 @@ impl EmulatedNode {
             inverted: self.config.inverted(),
             external: self.config.external(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
+            paced: self.paced,
             cut: self.cut,
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -536,6 +540,7 @@ impl EmulatedNode {
             inverted: self.config.inverted(),
             external: self.config.external(),
             lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
+            paced: mem::take(&mut self.paced),
             cut: mem::take(&mut self.cut),
             counted_steps: self.counted_steps(),
             status: self.status(),
@@ -627,6 +632,7 @@ impl EmulatedNode {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
+        self.paced |= self.node.is_held() || self.node.speed_percent() != 100;
         let queued = mem::take(&mut self.node.outputs_mut().queued);
         if let Recording::Edges { max } = self.config.record
             && !self.cut

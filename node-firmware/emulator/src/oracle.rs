@@ -17,6 +17,7 @@
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
 //! | position = counter = counted edges | exactly |
+//! | with [`Life::paced`]: only the pins, all steps of what has ended, and the positions | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
 //! takes any joining of lines that keeps the limits, the best one or not. Behind a path whose steps
@@ -30,7 +31,9 @@
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
 //! | `homing` | the way to a reference switch and off it |
+//! | `count` | steps by number alone |
 
+mod count;
 mod holds;
 mod homing;
 mod moves;
@@ -204,7 +207,11 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
 pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violation>> {
     let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
-    judge.read_queues(life);
+    if life.paced {
+        judge.count(life);
+    } else {
+        judge.read_queues(life);
+    }
     judge.summary.steps = judge
         .axes
         .iter()

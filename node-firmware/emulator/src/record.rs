@@ -91,6 +91,8 @@ pub struct Life {
     pub external: Vec<bool>,
     /// Whether the queue rests at `lidar_read` until the reading has come.
     pub lidar_waits: bool,
+    /// It was held, or ran at another speed than its commands ask for: no path has its one ideal.
+    pub paced: bool,
     /// A list was full: later commands and edges are missing.
     pub cut: bool,
     /// The emulated pulse counter of each axis: steps with sign since boot.

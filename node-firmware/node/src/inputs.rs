@@ -8,10 +8,50 @@ use core::fmt::Write;
 use keys::{AxisId, LocalMicros, StopMode, StopReason, status::FaultCode};
 use motion::{
     CdError, LimitHit, StepBackend,
-    io::{home::HomeError, shift::ShiftFault},
+    io::{
+        home::HomeError,
+        input::{Role, Switch},
+        shift::ShiftFault,
+    },
 };
 
+/// Returns the input that a script calls by this name: `stop`, `probe`, `0:min`, `0:max`, `0:home` and so
+/// on for the axes, `c:min`, `c:max`, `d:min`, `d:max`.
+fn role_of(name: &str) -> Option<Role> {
+    let (of, switch) = match name {
+        "stop" => return Some(Role::Stop),
+        "probe" => return Some(Role::Probe),
+        _ => name.split_once(':')?,
+    };
+    let switch = match switch {
+        "min" => Switch::Min,
+        "max" => Switch::Max,
+        "home" => Switch::Home,
+        _ => return None,
+    };
+    match of.as_bytes() {
+        b"c" => Some(Role::C(switch)),
+        b"d" => Some(Role::D(switch)),
+        [digit @ b'0'..=b'9'] => Some(Role::Axis {
+            axis: AxisId(digit - b'0'),
+            switch,
+        }),
+        _ => None,
+    }
+}
+
 impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
+    /// Returns whether an input is active; `None`: the configuration has none of this name. The stop
+    /// is always there, from wherever it comes.
+    pub(crate) fn input_named(&self, name: &str) -> Option<bool> {
+        let role = role_of(name)?;
+        if role == Role::Stop {
+            return Some(self.stop_pin_active || self.motion.is_input_active(role));
+        }
+        let has = self.config.motion.inputs.has(role);
+        has.then(|| self.motion.is_input_active(role))
+    }
+
     /// The stop is demanded, or no longer.
     pub(crate) fn take_stop_pin(&mut self, active: bool, now: LocalMicros) {
         self.stop_pin_active = active;

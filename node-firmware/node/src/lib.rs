@@ -7,6 +7,7 @@
 //!  stop, pin, link ▶ │ stop.rs ─────────── stop ──────▲ │                       │
 //!  switches ───────▶ │ inputs.rs ── limits, homing ───▶ │                       │
 //!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
+//!  hold, speed ────▶ │ pace.rs ── hold, resume, speed ▶ │                       │
 //!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
 //!                    │          report.rs ◀── position ─┘                       │
 //!                    │              │                                           │
@@ -30,6 +31,7 @@ pub mod trace;
 mod clock;
 mod inputs;
 mod intake;
+mod pace;
 mod report;
 mod script;
 mod start;
@@ -42,6 +44,7 @@ use crate::{
     library::{Library, ScriptStore},
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
+    pace::Pace,
     script::{Barriers, Publication, Slot},
     start::{Start, Told},
     stop::Phase,
@@ -211,6 +214,7 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     laser_percent: u8,
     lidar_mm: Option<u32>,
     lidar_count: u32,
+    pace: Pace,
     script: Slot,
     /// Barriers of the present script, or of the last one: their commands may wait longer than it.
     barriers: Barriers,
@@ -271,6 +275,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             laser_percent: 0,
             lidar_mm: None,
             lidar_count: 0,
+            pace: Pace::new(),
             script: Slot::None,
             barriers: Barriers::default(),
             script_queued_at: LocalMicros(0),
@@ -335,6 +340,13 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             } => {
                 self.run_motion(now);
                 self.take_start(payload, now);
+            }
+            Inbound::Message {
+                topic: NodeTopic::Pace,
+                payload,
+            } => {
+                self.run_motion(now);
+                self.take_pace(payload, now);
             }
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
@@ -406,6 +418,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         if let Some(message) = self.outbox.pop_start() {
             return Some(outbound(NodeTopic::Start, &message));
+        }
+        if self.pace.due {
+            self.pace.due = false;
+            return Some(outbound(NodeTopic::Pace, &self.pace_message()));
         }
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
@@ -651,6 +667,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_due = true;
         }
         self.watch_start(now);
+        self.watch_pace(now);
         self.save_scripts(now);
         self.tell_credit(now);
         self.outbox.earn_line_tokens(now);
@@ -681,6 +698,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         self.link_loss_settled = false;
         self.status_due = true;
+        self.pace.due = true;
         // What was on its way when the link went may be lost.
         if let Slot::Ended { say_at, .. } = &mut self.script {
             *say_at = now;

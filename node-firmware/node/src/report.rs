@@ -23,8 +23,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match self.phase.latch() {
             Some(StopReason::Fault) => NodeState::Fault,
             Some(_) => NodeState::Stopped,
-            None if self.start != Start::Open => NodeState::Ready,
             None if self.motion.is_paused() => NodeState::Paused,
+            None if self.start != Start::Open => NodeState::Ready,
             None if self.motion.is_active() || self.script.is_running() => NodeState::Running,
             None => NodeState::Idle,
         }
@@ -50,7 +50,11 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             credit_commands: u32::try_from(self.motion.credit_commands()).unwrap_or(u32::MAX),
             axes: axes.collect(),
             faults: self.faults.clone(),
-            features: self.motion.features().with(Features::LUA),
+            features: self
+                .motion
+                .features()
+                .with(Features::LUA)
+                .with(Features::PACE),
             firmware: self.config.firmware,
             rssi_dbm: self.rssi_dbm,
             laser_percent: self.laser_percent,

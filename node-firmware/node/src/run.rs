@@ -76,21 +76,23 @@ impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
 }
 
 /// Topics that a node hears.
-const HEARD: [NodeTopic; 4] = [
+const HEARD: [NodeTopic; 5] = [
     NodeTopic::Stop,
     NodeTopic::Batch,
     NodeTopic::Start,
     NodeTopic::Clock,
+    NodeTopic::Pace,
 ];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 6] = [
+const SPOKEN: [NodeTopic; 7] = [
     NodeTopic::Clock,
     NodeTopic::Start,
     NodeTopic::Ack,
     NodeTopic::Status,
     NodeTopic::Log,
     NodeTopic::Report,
+    NodeTopic::Pace,
 ];
 
 /// Numbers of zenoh's encodings.
@@ -148,6 +150,7 @@ impl NodeLink {
             (subscribe(HEARD[1])?, HEARD[1]),
             (subscribe(HEARD[2])?, HEARD[2]),
             (subscribe(HEARD[3])?, HEARD[3]),
+            (subscribe(HEARD[4])?, HEARD[4]),
         ];
         let mut publish = |topic| session.declare_publisher(&keys.node(name, topic));
         let spoken = [
@@ -157,6 +160,7 @@ impl NodeLink {
             (publish(SPOKEN[3])?, SPOKEN[3]),
             (publish(SPOKEN[4])?, SPOKEN[4]),
             (publish(SPOKEN[5])?, SPOKEN[5]),
+            (publish(SPOKEN[6])?, SPOKEN[6]),
         ];
         let mut scripts = ScriptKey::new();
         // Cannot fail: it was counted.
@@ -347,7 +351,9 @@ fn is_meant(asked: &str, name: &str) -> bool {
 fn options_of(topic: NodeTopic) -> PutOptions {
     let (priority, congestion, express, encoding) = match topic {
         NodeTopic::Clock => (Priority::RealTime, Congestion::Drop, true, OCTET_STREAM),
-        NodeTopic::Start => (Priority::RealTime, Congestion::Block, true, OCTET_STREAM),
+        NodeTopic::Start | NodeTopic::Pace => {
+            (Priority::RealTime, Congestion::Block, true, OCTET_STREAM)
+        }
         NodeTopic::Ack => (Priority::DataHigh, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Report => (Priority::DataHigh, Congestion::Block, false, OCTET_STREAM),
         NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),

@@ -378,9 +378,6 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     }
 }
 
-/// The most that [`motion::Motion::set_speed_percent`] takes.
-const SPEED_PERCENT_MAX: u16 = 400;
-
 /// The name of the script that may run at the start, and of its job.
 const BOOT: JobId = match JobId::new("boot") {
     Ok(name) => name,
@@ -476,19 +473,19 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
     }
 
     fn hold(&mut self) {
-        self.node.motion.hold(crate::ticks_from_local(self.now));
+        self.node.hold(self.now);
     }
 
     fn resume(&mut self) {
-        self.node.motion.resume();
+        self.node.resume();
     }
 
     fn set_speed_percent(&mut self, percent: u16) -> Result<(), CommandError> {
-        if percent > SPEED_PERCENT_MAX {
-            return Err(CommandError::Range);
+        if self.node.change_speed(percent) {
+            Ok(())
+        } else {
+            Err(CommandError::Range)
         }
-        self.node.motion.set_speed_percent(percent);
-        Ok(())
     }
 
     fn emergency_stop(&mut self) {
@@ -509,7 +506,7 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
     }
 
     fn input(&self, name: &str) -> Option<bool> {
-        (name == "stop").then_some(self.node.stop_pin_active)
+        self.node.input_named(name)
     }
 
     fn print(&mut self, line: &str) {

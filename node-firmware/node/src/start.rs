@@ -102,7 +102,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         now: LocalMicros,
     ) {
         let in_time = now < confirm_by && confirm_by.plus_us(CONFIRM_MARGIN_US) <= start_at;
-        let ready = !matches!(self.start, Start::Confirmed { .. }) && self.is_filled();
+        let ready =
+            !matches!(self.start, Start::Confirmed { .. }) && self.is_filled() && !self.is_held();
         if in_time && ready {
             self.start = Start::Armed {
                 command,
@@ -215,7 +216,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             && ready_at <= now
             && self.link_up()
         {
-            if self.is_filled() {
+            // Held, it would not start with the others.
+            if self.is_filled() && !self.is_held() {
                 let queue = self.queue;
                 self.say(match self.barrier_name(command) {
                     Some(name) => StartMessage::ReadyAt {

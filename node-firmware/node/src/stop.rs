@@ -65,6 +65,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Sets the stop going; [`Node::run_motion`] completes it.
     pub(crate) fn begin_stop(&mut self, reason: StopReason, mode: StopMode, now: LocalMicros) {
         self.set_laser(0);
+        self.forget_hold();
         self.start = Start::Open;
         self.status_due = true;
         match self.phase {

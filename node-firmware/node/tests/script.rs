@@ -1,6 +1,7 @@
 //! Scripts of jobs: they arrive once, move what they say, and end with the truth.
 
 mod rig;
+mod scripts;
 
 use emulator::{EmulatorConfig, Recording, oracle};
 use keys::{
@@ -12,6 +13,7 @@ use keys::{
 };
 use node::library::{SaveError, ScriptStore, StoreError, UNSAVED_MAX};
 use rig::{Rig, batch_bytes, job, steps};
+use scripts::{report, reported, script_orders, send};
 use std::sync::{
     Arc,
     atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -22,51 +24,6 @@ fn config() -> EmulatorConfig {
     let mut config = rig::config();
     config.record = Recording::Edges { max: 1_000_000 };
     config
-}
-
-/// The orders that carry a script as the next thing of the queue, in parts of this size.
-fn script_orders(rig: &Rig, name: &str, text: &str, part_bytes: usize) -> Vec<Vec<u8>> {
-    let status = rig.status();
-    let mut offset_bytes = 0;
-    text.as_bytes()
-        .chunks(part_bytes)
-        .map(|part| {
-            let order = Order::Script(ScriptHeader {
-                queue: status.queue,
-                first_command: status.accepted_commands,
-                job: job(name),
-                offset_bytes,
-                total_bytes: text.len() as u32,
-            });
-            offset_bytes += part.len() as u32;
-            let mut buffer = [0; ORDER_BYTES_MAX];
-            let mut bytes = version::encode(&order, &mut buffer).expect("room").to_vec();
-            bytes.extend_from_slice(part);
-            bytes
-        })
-        .collect()
-}
-
-fn send(rig: &mut Rig, text: &str) {
-    for order in script_orders(rig, "lua-1", text, 1000) {
-        assert_eq!(rig.order_bytes(&order).verdict, Verdict::Accepted);
-    }
-}
-
-/// The last report that was sent.
-fn report(rig: &Rig) -> Option<(ScriptReport, String)> {
-    let (_, _, payload) = rig
-        .sent
-        .iter()
-        .rfind(|(_, topic, _)| *topic == NodeTopic::Report)?;
-    let (report, text) = ScriptReport::decode(payload).expect("a report");
-    Some((report, text.to_owned()))
-}
-
-fn reported(rig: &Rig, outcome: ScriptOutcome) -> String {
-    let (report, text) = report(rig).expect("a report was sent");
-    assert_eq!(report.outcome, outcome, "{text}");
-    text
 }
 
 fn check_pulses(rig: &mut Rig) {

@@ -1,7 +1,11 @@
 //! What can be typed.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use keys::{GroupId, JobId, NodeId, record::JobState};
+use keys::{
+    GroupId, JobId, NodeId,
+    pace::{SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
+    record::JobState,
+};
 use std::{path::PathBuf, time::Duration};
 
 /// Where clients look for the gateway when nothing else is said.
@@ -165,6 +169,31 @@ Examples:
     /// Lift the stop latch of nodes and wait until each has confirmed.
     #[command(after_help = "Examples:\n  fleet release left\n  fleet release")]
     Release(Release),
+
+    /// Bring nodes to rest on their path, without losing it; `fleet resume` goes on.
+    #[command(after_help = "\
+A held node keeps its job, its queue and its exact place. New jobs wait. A stop ends a hold.
+A start that all nodes have agreed on is made first.
+
+Examples:
+  fleet hold left
+  fleet hold 'cell-$*'
+  fleet resume left")]
+    Hold(Pace),
+
+    /// Let nodes go on after `fleet hold`.
+    #[command(after_help = "Examples:\n  fleet resume left\n  fleet resume '*'")]
+    Resume(Pace),
+
+    /// Change the speed of ramps and lines, also of those under way.
+    #[command(after_help = "\
+The speed stays until it is changed or the node restarts. It is never faster than the drivers allow;
+raw moves keep their delay.
+
+Examples:
+  fleet speed left 50
+  fleet speed left        # as the commands say")]
+    Speed(Speed),
 
     /// Tell a node on a serial port its name, network and router; without options show what it was
     /// told.
@@ -355,6 +384,25 @@ pub(crate) struct Release {
     /// Node, or pattern with `*` or `$*`; all nodes by default.
     #[arg(default_value = "*", value_parser = pattern)]
     pub(crate) pattern: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Pace {
+    /// Node, or pattern with `*` or `$*`.
+    #[arg(value_name = "NODE", value_parser = pattern)]
+    pub(crate) pattern: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Speed {
+    /// Node, or pattern with `*` or `$*`.
+    #[arg(value_name = "NODE", value_parser = pattern)]
+    pub(crate) pattern: String,
+
+    /// Percent of what the commands ask for.
+    #[arg(default_value_t = 100, value_parser = clap::value_parser!(u16)
+        .range(i64::from(SPEED_PERCENT_MIN)..=i64::from(SPEED_PERCENT_MAX)))]
+    pub(crate) percent: u16,
 }
 
 fn prefix(text: &str) -> Result<keys::Keys, String> {

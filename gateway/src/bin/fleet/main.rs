@@ -8,6 +8,7 @@ mod args;
 mod demo;
 mod follow;
 mod link;
+mod pace;
 mod provision;
 mod secure;
 mod serve;
@@ -73,6 +74,12 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
                 StopMode::Halt
             };
             stop::stop(&link, &stop.pattern, mode, json).await
+        }
+        Verb::Hold(hold) => pace::pace(&link, &hold.pattern, "hold", None, json).await,
+        Verb::Resume(resume) => pace::pace(&link, &resume.pattern, "resume", None, json).await,
+        Verb::Speed(speed) => {
+            let percent = Some(speed.percent);
+            pace::pace(&link, &speed.pattern, "speed", percent, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
         Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) | Verb::Provision(_) => {

@@ -27,6 +27,7 @@ impl Node {
             self.say_stop(turn);
             self.say_cancel(turn);
             self.say_release(turn);
+            self.say_pace(turn);
             self.start_next(turn);
             self.say_batches(turn);
             self.say_probe(turn);
@@ -55,6 +56,7 @@ impl Node {
                 .as_ref()
                 .map(|wish| wish.send_at.min(wish.give_up_at)),
             self.route.as_ref().and_then(Route::poll_timeout),
+            self.pace_timeout(),
             Some(self.probe_at.unwrap_or(FleetMicros(0))),
         ];
         let here = here.into_iter().filter(|_| self.alive);
@@ -88,13 +90,12 @@ impl Node {
         }
         self.store(turn);
         self.lose_active(turn);
+        self.forget_pace();
+        self.refuse_wish(ErrorCode::NodeOffline, "the node went away", turn);
         if let Some(wish) = self.release.take() {
             for to in wish.waiters {
                 let error = JobError::new(ErrorCode::NodeOffline, "the node went away");
-                turn.released.push(Released {
-                    to,
-                    outcome: Err(error),
-                });
+                turn.released.push(Released::refused(to, error));
             }
         }
     }

@@ -99,6 +99,7 @@ impl Node {
             self.facts.replaced_boots.push_back(known.boot);
             self.status = None;
             self.faults.clear();
+            self.forget_pace();
             return Some(Some(known));
         }
         if status.queue.flush < known.flush {
@@ -144,10 +145,7 @@ impl Node {
             self.coming_to_rest = false;
             if let Some(wish) = self.release.take() {
                 turn.released
-                    .extend(wish.waiters.into_iter().map(|to| Released {
-                        to,
-                        outcome: Ok(()),
-                    }));
+                    .extend(wish.waiters.into_iter().map(Released::done));
             }
             return;
         }

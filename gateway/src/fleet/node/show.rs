@@ -73,6 +73,7 @@ impl Node {
             firmware: format!("{major}.{minor}.{patch}"),
             uptime_s: status.map_or(0, |status| status.at.0 / 1_000_000),
             rssi_dbm: status.and_then(|status| status.rssi_dbm),
+            pace: self.pace_record(),
             faults: self
                 .faults
                 .iter()
