@@ -7,6 +7,7 @@
 use std::{
     env, fs, panic,
     path::{Path, PathBuf},
+    process::Command,
     sync::Mutex,
 };
 
@@ -151,14 +152,16 @@ fn main() {
         build
             .opt_level_str("s")
             .flag("-ffunction-sections")
-            .flag("-fdata-sections");
+            .flag("-fdata-sections")
+            .define("abort", "sf_abort")
+            .file("csrc/bare.c");
         for flag in bare_flags() {
             build.flag(flag);
         }
     }
     build.compile("stepfleet_lua");
     if bare {
-        link_bare_library(&build);
+        link_bare_library(&build, &out);
     } else {
         println!("cargo:rustc-link-lib=m");
     }
@@ -178,7 +181,10 @@ fn bare_flags() -> &'static [&'static str] {
 
 /// Links the C library that belongs to this compiler and these flags: Lua needs `setjmp`, numbers
 /// to text and back, and mathematics.
-fn link_bare_library(build: &cc::Build) {
+///
+/// All of it is renamed, in the library and where Lua calls it. The radio brings functions of the
+/// same names and takes others from the chip's ROM; neither shall meet ours.
+fn link_bare_library(build: &cc::Build, out: &Path) {
     let compiler = build.get_compiler();
     let asked = |question: &str| {
         let output = compiler.to_command().arg(question).output();
@@ -194,16 +200,51 @@ fn link_bare_library(build: &cc::Build) {
         .into_iter()
         .find(|folder| folder.is_absolute() && folder.join("libc.a").exists())
         .unwrap_or_else(|| panic!("this C compiler has no C library: {compiler:?}"));
-    println!("cargo:rustc-link-search=native={}", folder.display());
-    println!("cargo:rustc-link-lib=static=c");
     // picolibc's mathematics are in the same file; its libm.a is empty, which no linker takes.
-    if folder == home {
-        println!("cargo:rustc-link-lib=static=m");
+    let libraries = if folder == home {
+        &["c", "m"][..]
+    } else {
+        &["c"]
+    };
+    let mut names = Vec::new();
+    for library in libraries {
+        let file = folder.join(format!("lib{library}.a"));
+        let mut list = Command::new(asked("-print-prog-name=nm"));
+        list.args(["--defined-only", "--extern-only", "--format=posix"]);
+        let listed = list.arg(file).output().expect("beside the compiler");
+        let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
+        names.extend(
+            listed
+                .lines()
+                .filter_map(|line| line.split_once(' '))
+                .filter(|(name, _)| !name.ends_with(':'))
+                .map(|(name, _)| format!("{name} sfc_{name}\n")),
+        );
+    }
+    names.sort_unstable();
+    names.dedup();
+    let map = out.join("renamed");
+    fs::write(&map, names.concat()).expect("the directory is ours");
+    let rename = |from: &Path, to: &Path| {
+        let done = Command::new(asked("-print-prog-name=objcopy"))
+            .arg(format!("--redefine-syms={}", map.display()))
+            .args([from, to])
+            .status();
+        let done = done.is_ok_and(|status| status.success());
+        assert!(done, "{}: objcopy cannot rename it", from.display());
+    };
+    let lua = out.join("libstepfleet_lua.a");
+    rename(&lua, &lua);
+    for library in libraries {
+        let to = out.join(format!("libstepfleet_{library}.a"));
+        rename(&folder.join(format!("lib{library}.a")), &to);
+        println!("cargo:rustc-link-lib=static=stepfleet_{library}");
     }
 }
 
-/// Where Debian's picolibc is, one folder for each kind of processor.
-const PICOLIBC: &str = "/usr/lib/picolibc/riscv64-unknown-elf/lib";
+/// Where Debian's picolibc is, one folder for each kind of processor; the one that is built for
+/// speed, because the other one calls helpers of its compiler.
+const PICOLIBC: &str = "/usr/lib/picolibc/riscv64-unknown-elf/lib/release";
 
 fn replace_once(file: &str, text: &str, before: &str, after: &str) -> String {
     assert_eq!(

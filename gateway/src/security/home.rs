@@ -272,6 +272,14 @@ pub fn read_secret(path: &Path) -> Result<String, HomeError> {
     Ok(text)
 }
 
+/// Writes a file with a secret, for its owner only.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_secret(path: &Path, text: &str) -> Result<(), HomeError> {
+    write(path, text, true)
+}
+
 fn read(path: &Path) -> Result<String, HomeError> {
     fs::read_to_string(path).map_err(|source| HomeError::File {
         path: path.to_owned(),

@@ -204,9 +204,44 @@ Examples:
   fleet provision /dev/ttyACM0")]
     Provision(crate::provision::Provision),
 
+    /// Give a node another firmware over the network, or show what it runs. The node tries it: if it
+    /// does not reach the router within a minute, the one before runs again.
+    #[command(after_help = "\
+Examples:
+  fleet update-key update.key              # once; update.pub is for `fleet provision`
+  espflash save-image --chip esp32s3 target/xtensa-esp32s3-none-elf/release/firmware new.bin
+  fleet update left new.bin --key update.key
+  fleet update left")]
+    Update(Update),
+
+    /// Make a pair of keys that firmware is signed with.
+    #[command(after_help = "Examples:\n  fleet update-key update.key")]
+    UpdateKey(UpdateKey),
+
     /// Run a gateway and six emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
     Demo,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Update {
+    /// The node.
+    #[arg(value_parser = node_id)]
+    pub(crate) node: NodeId,
+
+    /// Image, as `espflash save-image` makes it.
+    #[arg(requires = "key")]
+    pub(crate) image: Option<PathBuf>,
+
+    /// File with the key that signs it. Nobody but you may be able to read it.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) key: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct UpdateKey {
+    /// File of the key; the one for nodes is beside it and ends in .pub.
+    pub(crate) file: PathBuf,
 }
 
 #[derive(Debug, Args)]

@@ -238,7 +238,8 @@ impl Link {
         Ok(answers)
     }
 
-    async fn ask(
+    /// Asks whoever is there.
+    pub(crate) async fn ask(
         &self,
         selector: &str,
         payload: Option<(Vec<u8>, Encoding)>,

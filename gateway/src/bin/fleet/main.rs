@@ -15,6 +15,7 @@ mod serve;
 mod show;
 mod stop;
 mod submit;
+mod update;
 mod watch;
 
 use args::{Common, Line, Verb};
@@ -55,6 +56,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
         Verb::Provision(line) => return provision::provision(common, line).await,
+        Verb::UpdateKey(line) => return update::make_key(line, common),
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
         _ => {}
@@ -82,9 +84,13 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             pace::pace(&link, &speed.pattern, "speed", percent, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) | Verb::Provision(_) => {
-            unreachable!("done above")
-        }
+        Verb::Update(line) => update::update(&link, line, json).await,
+        Verb::Serve(_)
+        | Verb::Config(_)
+        | Verb::Init(_)
+        | Verb::Users(_)
+        | Verb::Provision(_)
+        | Verb::UpdateKey(_) => unreachable!("done above"),
         #[cfg(feature = "demo")]
         Verb::Demo => unreachable!("done above"),
     };

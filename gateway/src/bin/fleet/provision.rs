@@ -119,7 +119,8 @@ fn short<const N: usize>(text: &str, option: &str) -> Result<heapless::String<N>
     heapless::String::try_from(text).map_err(too_long)
 }
 
-fn key_from_hex(text: &str) -> Option<[u8; 32]> {
+/// Reads 64 hexadecimal digits.
+pub(crate) fn key_from_hex(text: &str) -> Option<[u8; 32]> {
     let text = text.trim();
     if text.len() != 64 || !text.is_ascii() {
         return None;
