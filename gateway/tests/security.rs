@@ -5,7 +5,6 @@
 //! the operator's, does something that is allowed, and when that has come to pass the attempt has
 //! been passed over.
 
-use base64::Engine as _;
 use emulator::{EmulatorConfig, wall};
 use gateway::{
     config::GatewayConfig,
@@ -41,25 +40,18 @@ fn name(text: &str) -> NodeId {
 
 async fn session(to: &str, credentials: Option<&Credentials>) -> zenoh::Result<Session> {
     let mut config = zenoh::Config::default();
-    let mut pairs = vec![
+    let pairs = [
         ("mode", json!("client")),
         ("connect/endpoints", json!([to])),
         ("scouting/multicast/enabled", json!(false)),
         ("transport/unicast/open_timeout", json!(60_000)),
     ];
+    let mut pairs: Vec<(&str, String)> = pairs.map(|(key, value)| (key, value.to_string())).into();
     if let Some(credentials) = credentials {
-        pairs.push(("transport/auth/usrpwd/user", json!(credentials.user)));
-        pairs.push((
-            "transport/auth/usrpwd/password",
-            json!(credentials.password),
-        ));
-        if let Some(ca) = &credentials.ca {
-            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-            pairs.push(("transport/link/tls/root_ca_certificate_base64", json!(ca)));
-        }
+        pairs.extend(credentials.zenoh_settings());
     }
     for (key, value) in pairs {
-        config.insert_json5(key, &value.to_string()).expect("known");
+        config.insert_json5(key, &value).expect("known");
     }
     zenoh::open(config).await
 }

@@ -26,7 +26,6 @@ use crate::{
     fleet::event::{Lane, ReplyTo},
     security::{Home, HomeError},
 };
-use base64::Engine as _;
 use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError};
 use std::{
     net::{SocketAddr, TcpListener},
@@ -505,15 +504,7 @@ async fn open_client(
         ),
     ];
     if let Some(credentials) = credentials {
-        pairs.push(("transport/auth/usrpwd/user", json(&credentials.user)));
-        pairs.push((
-            "transport/auth/usrpwd/password",
-            json(&credentials.password),
-        ));
-        if let Some(ca) = &credentials.ca {
-            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-            pairs.push(("transport/link/tls/root_ca_certificate_base64", json(&ca)));
-        }
+        pairs.extend(credentials.zenoh_settings());
     }
     zenoh::open(settings(&pairs)?)
         .await

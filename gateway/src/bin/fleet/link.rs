@@ -1,7 +1,6 @@
 //! An ordinary zenoh client: the command line speaks to the fleet as anybody else would.
 
 use crate::args::{CONNECT_DEFAULT, Common};
-use base64::Engine as _;
 use gateway::security::home::read_secret;
 use keys::{
     Keys, NodeId, Topic,
@@ -160,14 +159,8 @@ impl Link {
         set("connect/endpoints", format!("[{}]", text(connect)))?;
         set("scouting/multicast/enabled", "false".to_owned())?;
         if let Some(credentials) = credentials {
-            set("transport/auth/usrpwd/user", text(&credentials.user))?;
-            set(
-                "transport/auth/usrpwd/password",
-                text(&credentials.password),
-            )?;
-            if let Some(ca) = &credentials.ca {
-                let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-                set("transport/link/tls/root_ca_certificate_base64", text(&ca))?;
+            for (key, value) in credentials.zenoh_settings() {
+                set(key, value)?;
             }
         }
         let no_connection = |why: &str| {
