@@ -198,6 +198,7 @@ impl Service {
             jobs,
         } = outlets;
 
+        let copier = journal.copier();
         let writer = Writer {
             journal,
             bus: Arc::clone(&bus),
@@ -236,7 +237,11 @@ impl Service {
             fleet,
             writer,
         };
-        if let Err(error) = service.bus.declare(&inbox, clock).await {
+        let declared = async {
+            service.bus.declare(&inbox, clock).await?;
+            service.bus.declare_backup(copier).await
+        };
+        if let Err(error) = declared.await {
             // The first error is the one to tell.
             let _ = service.shutdown().await;
             return Err(error.into());

@@ -7,7 +7,12 @@
 
 use emulator::{EmulatorConfig, wall};
 use gateway::{
+    bus::limits::ClientLimits,
     config::GatewayConfig,
+    journal::{
+        Journal,
+        copy::{CopyFile, Piece},
+    },
     security::{Home, Role},
     service::Service,
 };
@@ -57,13 +62,18 @@ async fn session(to: &str, credentials: Option<&Credentials>) -> zenoh::Result<S
 }
 
 impl Plant {
-    /// A secured fleet with an operator, a viewer and two nodes that may connect.
+    /// A secured fleet with two operators, a viewer and two nodes that may connect.
     async fn new() -> Self {
+        Self::with(ClientLimits::default()).await
+    }
+
+    async fn with(limits: ClientLimits) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("home");
         let mut made = Home::init(&home, &[]).expect("made");
         for (user, role) in [
             ("alice", Role::Operator),
+            ("carol", Role::Operator),
             ("bob", Role::Viewer),
             ("left", Role::Node),
             ("right", Role::Node),
@@ -73,6 +83,7 @@ impl Plant {
         let config = GatewayConfig {
             listen: vec!["tls/127.0.0.1:0".into(), "tcp/127.0.0.1:0".into()],
             secure: Some(home),
+            limits,
             ..GatewayConfig::new(folder.path().join("fleet.redb"))
         };
         Self {
@@ -355,6 +366,116 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     assert!(receipt[0].is_ok(), "{receipt:?}");
     let sample = in_time(follow.recv_async()).await.expect("a record");
     assert_eq!(sample.key_expr().as_str(), "fleet/job/first");
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_floods_is_refused_and_another_one_gets_its_turn() {
+    let limits = ClientLimits {
+        requests_per_s: 1,
+        ..ClientLimits::default()
+    };
+    let plant = Plant::with(limits).await;
+    let (alice, carol) = (plant.session("alice").await, plant.session("carol").await);
+    // Twice what may come at once, by put and by get; each get is answered one way or the other.
+    for index in 0..10 {
+        put(&alice, "fleet/job/none/cancel", format!("{index}")).await;
+    }
+    let mut refused = 0;
+    for _ in 0..10 {
+        for answer in ask(&alice, "fleet/job/none", None).await {
+            let error = answer.expect_err("there is no such job").error;
+            match error.code.as_str() {
+                "not_allowed" => refused += 1,
+                _ => assert!(error.message.contains("none"), "{error:?}"),
+            }
+        }
+    }
+    assert!(refused > 0, "20 requests came through, 10 may");
+    // A put that is refused leaves one record, not one for each.
+    let follow = in_time(carol.declare_subscriber("fleet/job/*")).await;
+    let follow = follow.expect("declared");
+    for index in 0..20 {
+        let job = job(&format!("flood-{index}")).to_string();
+        put(&alice, "fleet/node/left/job", job).await;
+    }
+    ask(&alice, "fleet/job/none", None).await;
+    let answer = ask(&carol, "fleet/node/nobody/job", Some(&job("carols"))).await;
+    let error = answer[0].as_ref().expect_err("there is no such node");
+    assert_eq!(
+        error.error.code.as_str(),
+        "unknown_node",
+        "her own limit is untouched"
+    );
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+    let mut records = 0;
+    while let Ok(Some(sample)) = follow.try_recv() {
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        assert_eq!(record.state.as_str(), "rejected");
+        records += 1;
+    }
+    assert!(records < 20, "{records} records of 20 puts");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_that_is_too_large_is_refused_and_the_client_may_go_on() {
+    let plant = Plant::new().await;
+    let alice = plant.session("alice").await;
+    let large = Value::from("x".repeat(keys::job::JOB_BYTES_MAX));
+    let answer = ask(&alice, "fleet/node/left/job", Some(&large)).await;
+    let error = answer[0].as_ref().expect_err("it is too large");
+    assert_eq!(error.error.code.as_str(), "too_large");
+    let answer = ask(&alice, "fleet/node/left/job", Some(&job("small"))).await;
+    let error = answer[0].as_ref().expect_err("there is no such node");
+    // Her bytes are used up for now, or there was time enough.
+    let code = error.error.code.as_str();
+    assert!(["not_allowed", "unknown_node"].contains(&code), "{code}");
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_gets_a_backup_of_a_running_gateway_and_nobody_else_does() {
+    let plant = Plant::new().await;
+    let left = plant.node("left");
+    let alice = plant.session("alice").await;
+    until(&alice, "left", |record| record.alive).await;
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&job("one"))).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    let begin = async |session: &Session| {
+        let get = session
+            .get("fleet/store/backup")
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE);
+        in_time(get).await.expect("asked")
+    };
+    let (bob, right) = (plant.session("bob").await, plant.session("right").await);
+    let denied = [begin(&bob).await, begin(&right).await];
+    // Behind his question: it has been passed over.
+    ask(&bob, "fleet/node/left/state", None).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("backup.redb");
+    let mut file = CopyFile::create(&path).expect("created");
+    let replies = begin(&alice).await;
+    while let Ok(reply) = in_time(replies.recv_async()).await {
+        let sample = reply.result().expect("a piece");
+        let piece = Piece::decode(&sample.payload().to_bytes()).expect("a piece");
+        file.take(piece).expect("the next one");
+    }
+    // One backup is given at a time: theirs would have come before hers.
+    for replies in denied {
+        assert!(matches!(replies.try_recv(), Ok(None)), "somebody got it");
+    }
+    file.finish().expect("whole");
+    let (_journal, stored) = Journal::open(&path).expect("a store");
+    assert!(stored.jobs.iter().any(|(name, _)| name == "one"));
+    in_time(left.shutdown()).await;
     in_time(plant.service.shutdown())
         .await
         .expect("a clean end");

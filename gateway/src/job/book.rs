@@ -2,8 +2,8 @@
 //! leaves as one write and, behind it, one message.
 //!
 //! Promises: what is published was persisted before; a job that is not final has its request in
-//! the store, and the request goes only after the final record is written; at most
-//! [`Book::retention_jobs`] final jobs are kept, the ones that ended first go first.
+//! the store, and the request goes only after the final record is written; final jobs are kept as
+//! [`Retention`] says, the ones that ended first go first.
 //!
 //! Absent on purpose: which job runs where. That is the node's view.
 
@@ -12,11 +12,24 @@ use crate::fleet::event::{Effect, Lane, Table, Write};
 use keys::{FleetMicros, JobId, Keys, NodeId, record::to_json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
+/// Final jobs that are kept whatever their age, so that a clock which was wrong at a start cannot
+/// empty the history.
+pub const KEPT_JOBS_MIN: usize = 1_000;
+
+/// How long final jobs are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Retention {
+    /// Most of them.
+    pub jobs: usize,
+    /// Longest time since a job's end, µs; the newest [`KEPT_JOBS_MIN`] may be older.
+    pub age_us: u64,
+}
+
 /// The jobs.
 #[derive(Debug)]
 pub struct Book {
     keys: Keys,
-    retention_jobs: usize,
+    retention: Retention,
     jobs: HashMap<JobId, Job>,
     /// By sequence: the order in which they were accepted.
     history: BTreeMap<u64, JobId>,
@@ -30,10 +43,10 @@ pub struct Book {
 
 impl Book {
     /// Begins an empty book.
-    pub fn new(keys: Keys, retention_jobs: usize) -> Self {
+    pub fn new(keys: Keys, retention: Retention) -> Self {
         Self {
             keys,
-            retention_jobs,
+            retention,
             jobs: HashMap::new(),
             history: BTreeMap::new(),
             finals: BTreeSet::new(),
@@ -41,11 +54,6 @@ impl Book {
             held_commands: 0,
             touched: BTreeSet::new(),
         }
-    }
-
-    /// Returns how many final jobs are kept.
-    pub fn retention_jobs(&self) -> usize {
-        self.retention_jobs
     }
 
     /// Returns the job of this name.
@@ -92,7 +100,7 @@ impl Book {
     /// Takes a new job, instead of a rejected one of the same name if there is one. `request` is
     /// what a job that is not final needs to be resumed.
     pub fn insert(&mut self, job: Job, request: Option<Vec<u8>>, effects: &mut Vec<Effect>) {
-        let id = job.id();
+        let (id, now) = (job.id(), job.entry.record.updated);
         if let Some(old) = self.jobs.remove(&id) {
             assert!(old.state().is_final(), "job {id} exists and is not final");
             self.history.remove(&old.entry.sequence);
@@ -110,7 +118,7 @@ impl Book {
         }
         self.index(job);
         self.tell(&id, effects);
-        self.prune(effects);
+        self.prune(now, effects);
     }
 
     /// Changes what a node does for a job, writes the record that follows and tells it.
@@ -181,7 +189,7 @@ impl Book {
                 table: Table::Requests,
                 key: id.to_string(),
             }));
-            self.prune(effects);
+            self.prune(now, effects);
         }
     }
 
@@ -255,12 +263,15 @@ impl Book {
         }
     }
 
-    /// Removes the final jobs that ended first until no more than the retention are left.
-    pub fn prune(&mut self, effects: &mut Vec<Effect>) {
-        while self.finals.len() > self.retention_jobs {
-            let Some((_, sequence)) = self.finals.pop_first() else {
+    /// Removes the final jobs that ended first until no more are left than are kept.
+    pub fn prune(&mut self, now: FleetMicros, effects: &mut Vec<Effect>) {
+        while let Some((ended, sequence)) = self.finals.first().copied() {
+            let count = self.finals.len();
+            let is_old = count > KEPT_JOBS_MIN && now.since_us(ended) > self.retention.age_us;
+            if count <= self.retention.jobs && !is_old {
                 return;
-            };
+            }
+            self.finals.pop_first();
             let Some(id) = self.history.remove(&sequence) else {
                 continue;
             };

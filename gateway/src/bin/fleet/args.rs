@@ -106,6 +106,21 @@ Examples:
   fleet --credentials /etc/fleet/operator.json nodes")]
     Init(Init),
 
+    /// Copy the store of a running gateway into a file; it goes on meanwhile.
+    #[command(after_help = "\
+Examples:
+  fleet backup monday.redb
+  fleet --credentials /etc/fleet/operator.json backup monday.redb
+  fleet backup monday.redb --store /var/lib/fleet.redb    # of a gateway that does not run
+To go back: end the gateway, put the backup in the place of its store, start it.")]
+    Backup(Backup),
+
+    /// Tell what is in a store or a backup, and what is wrong with it; changes nothing.
+    #[command(
+        after_help = "Examples:\n  fleet doctor /var/lib/fleet.redb\n  fleet doctor monday.redb"
+    )]
+    Doctor(Doctor),
+
     /// Add, revoke and list the users of a secured fleet.
     #[command(after_help = "\
 Examples:
@@ -223,6 +238,24 @@ pub(crate) struct Serve {
 pub(crate) struct Config {
     /// Check this file instead.
     pub(crate) file: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Backup {
+    /// Where to; a file that exists is left alone.
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+
+    /// Copy this store, which no gateway has, instead of asking a gateway for its own.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) store: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Doctor {
+    /// The store of a gateway that does not run, or a backup.
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
 }
 
 #[derive(Debug, Args)]

@@ -4,6 +4,7 @@
 //! all of them share (`serve` alone is the gateway itself), `show.rs` prints.
 
 mod args;
+mod backup;
 #[cfg(feature = "demo")]
 mod demo;
 mod follow;
@@ -53,6 +54,10 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Config(config) => return serve::print_config(config),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
+        Verb::Doctor(doctor) => return backup::doctor(doctor, common.json),
+        Verb::Backup(line) if line.store.is_some() => {
+            return backup::backup(None, line, common.json).await;
+        }
         Verb::Provision(line) => return provision::provision(common, line).await,
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
@@ -75,7 +80,13 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             stop::stop(&link, &stop.pattern, mode, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
-        Verb::Serve(_) | Verb::Config(_) | Verb::Init(_) | Verb::Users(_) | Verb::Provision(_) => {
+        Verb::Backup(line) => backup::backup(Some(&link), line, json).await,
+        Verb::Serve(_)
+        | Verb::Config(_)
+        | Verb::Init(_)
+        | Verb::Users(_)
+        | Verb::Doctor(_)
+        | Verb::Provision(_) => {
             unreachable!("done above")
         }
         #[cfg(feature = "demo")]
