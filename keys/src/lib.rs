@@ -30,6 +30,10 @@ pub mod key;
 #[cfg(feature = "json")]
 pub mod record;
 pub mod script;
+#[cfg(feature = "signed")]
+pub mod signed;
+#[cfg(feature = "json")]
+pub mod signers;
 pub mod start;
 pub mod status;
 pub mod stop;

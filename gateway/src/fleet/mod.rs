@@ -31,6 +31,7 @@ mod timers;
 
 pub use history::{LIMIT_DEFAULT, LIMIT_MAX};
 pub use restore::{RestoreError, Stored};
+pub use submit::commands_of;
 
 use crate::job::{
     Ending, Job,
@@ -82,6 +83,8 @@ pub struct FleetConfig {
     pub stop_repeat_us: u64,
     /// How long a release is tried, µs.
     pub release_patience_us: u64,
+    /// Public keys of operators: a job that none of them has signed is refused. None by default.
+    pub signers: Vec<[u8; 32]>,
 }
 
 impl FleetConfig {
@@ -100,6 +103,7 @@ impl FleetConfig {
             node_record_us: 50_000,
             stop_repeat_us: 500_000,
             release_patience_us: 3_000_000,
+            signers: Vec::new(),
         }
     }
 }

@@ -17,6 +17,7 @@
 pub mod access;
 mod certificates;
 pub mod home;
+pub mod signing;
 pub mod users;
 
 pub use home::{Home, HomeError};

@@ -649,6 +649,7 @@ fn boot_node(
         link_loss_after_us: config.link_loss_after_us,
         script: config.script,
         boot_script: config.boot_script,
+        signers: config.signers.clone(),
         ..NodeConfig::new(config.name, boot)
     };
     Node::new(memory.words(), backend, Bench::default(), node_config)

@@ -25,6 +25,7 @@ pub mod library;
 pub mod limits;
 pub mod outbox;
 pub mod run;
+pub mod signed;
 pub mod trace;
 
 mod clock;
@@ -43,6 +44,7 @@ use crate::{
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
     script::{Publication, Slot},
+    signed::Verifier,
     start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
@@ -95,6 +97,9 @@ pub struct NodeConfig {
     pub script: Limits,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
+    /// Public keys of operators: the node executes only what one of them has signed. None:
+    /// whatever its gateway sends.
+    pub signers: signed::Keys,
 }
 
 impl NodeConfig {
@@ -110,6 +115,7 @@ impl NodeConfig {
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
             script: Limits::default(),
             boot_script: false,
+            signers: signed::Keys::new(),
         }
     }
 }
@@ -214,6 +220,7 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     report_due: bool,
     publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
     stored: Library,
+    signed: Verifier,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     trace: Trace,
@@ -265,6 +272,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             report_due: false,
             publications: heapless::Deque::new(),
             stored: Library::default(),
+            signed: Verifier::default(),
             rssi_dbm: None,
             outbox: Outbox::new(),
             trace: Trace::new(),
@@ -485,6 +493,14 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Stores a script, or removes it, and says so in the log.
     pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
         let now = self.advance_to(now);
+        if !self.config.signers.is_empty() {
+            // It would be called by a signed job without being signed itself.
+            self.log(
+                now,
+                format_args!("script {name} not taken: it is not signed"),
+            );
+            return;
+        }
         match text.map(|text| self.stored.put(name, text)) {
             None => {
                 self.stored.remove(name);

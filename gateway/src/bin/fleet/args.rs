@@ -130,6 +130,15 @@ Examples:
   fleet users /etc/fleet list")]
     Users(Users),
 
+    /// Make, list and revoke the keys with which operators sign jobs; while there is one, only
+    /// signed jobs are executed.
+    #[command(after_help = "\
+Examples:
+  fleet keys /etc/fleet new alice       # alice.key for her; /etc/fleet/signers for every node
+  fleet submit job.json --node left --sign alice.key
+  fleet keys /etc/fleet revoke alice")]
+    Keys(Keys),
+
     /// List the nodes.
     #[command(after_help = "Examples:\n  fleet nodes\n  fleet nodes --json | jq -r .node")]
     Nodes,
@@ -308,6 +317,35 @@ pub(crate) enum UsersAct {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Keys {
+    /// Folder of the fleet.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+
+    #[command(subcommand)]
+    pub(crate) act: KeysAct,
+}
+
+/// What to do with signing keys. All of it counts from the next start of gateway and nodes.
+#[derive(Debug, Subcommand)]
+pub(crate) enum KeysAct {
+    /// Make one, and write the private half to hand out to DIR/NAME.key.
+    New {
+        /// Whose.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+    },
+    /// Take one away.
+    Revoke {
+        /// Whose.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+    },
+    /// List the public halves.
+    List,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Submit {
     /// The job; `-`: standard input.
     #[arg(value_name = "FILE|-")]
@@ -324,6 +362,10 @@ pub(crate) struct Submit {
     /// Name of the job; makes it idempotent. Replaces the one in the file.
     #[arg(long, value_parser = job_id)]
     pub(crate) id: Option<JobId>,
+
+    /// Sign the job with this key, for this start of the node; for one node that is there.
+    #[arg(long, value_name = "FILE", conflicts_with = "group")]
+    pub(crate) sign: Option<PathBuf>,
 
     /// What the file is [default: by its extension; else JSON if it begins with `{`, Lua if not].
     #[arg(long, value_enum)]

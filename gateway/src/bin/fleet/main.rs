@@ -13,6 +13,7 @@ mod provision;
 mod secure;
 mod serve;
 mod show;
+mod sign;
 mod stop;
 mod submit;
 mod watch;
@@ -54,6 +55,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Config(config) => return serve::print_config(config),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
+        Verb::Keys(keys) => return secure::keys(keys, common.json),
         Verb::Doctor(doctor) => return backup::doctor(doctor, common.json),
         Verb::Backup(line) if line.store.is_some() => {
             return backup::backup(None, line, common.json).await;
@@ -85,6 +87,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         | Verb::Config(_)
         | Verb::Init(_)
         | Verb::Users(_)
+        | Verb::Keys(_)
         | Verb::Doctor(_)
         | Verb::Provision(_) => {
             unreachable!("done above")
