@@ -9,17 +9,26 @@ use emulator::{EmulatorConfig, wall};
 use gateway::{
     bus::limits::ClientLimits,
     config::GatewayConfig,
+    fleet::commands_of,
     journal::{
         Journal,
         copy::{CopyFile, Piece},
     },
-    security::{Home, Role},
+    security::{
+        Home, Role,
+        home::read_secret,
+        signing::{Signer, root_of, statement},
+    },
     service::Service,
 };
 use keys::{
-    AxisStatus, Features, LocalMicros, NodeId, NodeState, QueueId, Status,
+    AxisStatus, BatchAck, BatchReader, Features, LocalMicros, NodeId, NodeState, Order, QueueId,
+    Refusal, Status, Verdict,
+    batch::{BatchWriter, ORDER_BYTES_MAX},
     credentials::Credentials,
+    job::JobRequest,
     record::{ErrorReply, JobRecord, NodeRecord},
+    signed::{PROOF_BYTES_MAX, Proof},
     version,
 };
 use serde_json::{Value, json};
@@ -80,15 +89,20 @@ impl Plant {
         ] {
             made.add(name(user), role).expect("added");
         }
+        Self::start(folder, made, limits).await
+    }
+
+    /// Starts the gateway of a fleet that stands in `home` below the folder.
+    async fn start(folder: tempfile::TempDir, home: Home, limits: ClientLimits) -> Self {
         let config = GatewayConfig {
             listen: vec!["tls/127.0.0.1:0".into(), "tcp/127.0.0.1:0".into()],
-            secure: Some(home),
+            secure: Some(folder.path().join("home")),
             limits,
             ..GatewayConfig::new(folder.path().join("fleet.redb"))
         };
         Self {
             service: in_time(Service::start(config)).await.expect("started"),
-            home: made,
+            home,
             _folder: folder,
         }
     }
@@ -114,8 +128,8 @@ impl Plant {
         session.expect("connected")
     }
 
-    /// Switches an emulated node on, with its own credentials.
-    fn node(&self, node: &str) -> wall::EmulatedHandle {
+    /// An emulated node with its own credentials.
+    fn emulator(&self, node: &str) -> EmulatorConfig {
         let credentials = self.credentials(node);
         let mut config = EmulatorConfig::new(name(node));
         config.connect = self.tcp().to_owned();
@@ -123,7 +137,12 @@ impl Plant {
             user: credentials.user,
             password: credentials.password,
         });
-        wall::spawn(config).expect("spawned")
+        config
+    }
+
+    /// Switches one on.
+    fn node(&self, node: &str) -> wall::EmulatedHandle {
+        wall::spawn(self.emulator(node)).expect("spawned")
     }
 }
 
@@ -477,6 +496,110 @@ async fn an_operator_gets_a_backup_of_a_running_gateway_and_nobody_else_does() {
     file.finish().expect("whole");
     let (_journal, stored) = Journal::open(&path).expect("a store");
     assert!(stored.jobs.iter().any(|(name, _)| name == "one"));
+    in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_operator_signed_is_executed_once_even_if_the_router_belongs_to_somebody_else() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let home = folder.path().join("home");
+    let mut made = Home::init(&home, &[]).expect("made");
+    for (user, role) in [("alice", Role::Operator), ("left", Role::Node)] {
+        made.add(name(user), role).expect("added");
+    }
+    let key = made.add_signer(name("alice")).expect("made");
+    let key = Signer::parse(&read_secret(&key).expect("private")).expect("a key");
+    let signers = made.signers().expect("a list");
+    let plant = Plant::start(folder, made, ClientLimits::default()).await;
+    let mut config = plant.emulator("left");
+    config.signers.push(signers[0].key.0).expect("room");
+    let left = wall::spawn(config).expect("spawned");
+    let alice = plant.session("alice").await;
+    // Whoever has the router has its rights.
+    let mallory = plant.session("gateway").await;
+    let orders = in_time(mallory.declare_subscriber("fleet/node/left/batch")).await;
+    let orders = orders.expect("declared");
+    let acks = in_time(mallory.declare_subscriber("fleet/node/left/ack")).await;
+    let acks = acks.expect("declared");
+    let statuses = in_time(alice.declare_subscriber("fleet/node/left/status")).await;
+    let statuses = statuses.expect("declared");
+    until(&alice, "left", |record| {
+        record.alive && record.clock.is_some()
+    })
+    .await;
+    let status = in_time(statuses.recv_async()).await.expect("a status");
+    let status: Status = version::decode(&status.payload().to_bytes()).expect("a status");
+    let boot = status.queue.boot;
+
+    let unsigned = ask(&alice, "fleet/node/left/job", Some(&job("unsigned"))).await;
+    let error = unsigned[0].as_ref().expect_err("it is not signed");
+    assert_eq!(error.error.code.as_str(), "not_allowed");
+    let mut signed = job("signed");
+    let request = JobRequest::from_json(signed.to_string().as_bytes()).expect("legal");
+    let root = root_of(&commands_of(&request), None).expect("short");
+    let node = name("left");
+    let id = request.id.expect("it has one");
+    let signature = key.sign(&statement(&node, &id, boot, 1, root));
+    let mut stolen = job("stolen");
+    stolen["signature"] = serde_json::to_value(&signature).expect("JSON");
+    let refused = ask(&alice, "fleet/node/left/job", Some(&stolen)).await;
+    let error = refused[0].as_ref().expect_err("it is another job's");
+    assert_eq!(error.error.code.as_str(), "not_allowed");
+
+    let follow = in_time(alice.declare_subscriber("fleet/job/signed")).await;
+    let follow = follow.expect("declared");
+    signed["signature"] = serde_json::to_value(&signature).expect("JSON");
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&signed)).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    loop {
+        let sample = in_time(follow.recv_async()).await.expect("a record");
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        if record.state.is_final() {
+            assert_eq!(record.state.as_str(), "succeeded", "{record:?}");
+            assert_eq!(record.result.expect("it moved").position[0], 20);
+            break;
+        }
+    }
+
+    // The order once more, at the place that is next now.
+    let order = in_time(orders.recv_async()).await.expect("an order");
+    let order = order.payload().to_bytes().into_owned();
+    let (proof, plain) = Proof::split(&order).expect("an order");
+    let mut proof = proof.expect("it is signed");
+    let mut reader = BatchReader::new(plain).expect("a batch");
+    let Order::Batch(mut header) = *reader.order() else {
+        panic!("no batch")
+    };
+    let mut writer = BatchWriter::new();
+    while let Some(command) = reader.next_command().expect("a command") {
+        assert!(writer.push(&command));
+    }
+    header.first_command = header.job_end;
+    header.job_end += u64::from(header.command_count);
+    proof.first_command = header.first_command;
+    let mut buffer = [0; ORDER_BYTES_MAX];
+    let plain = writer.finish(header, &mut buffer).expect("room");
+    let mut replay = vec![0; PROOF_BYTES_MAX];
+    let used = proof.write(&mut replay).expect("room");
+    replay.truncate(used);
+    replay.extend_from_slice(plain);
+    for attempt in [replay, plain.to_vec()] {
+        put(&mallory, "fleet/node/left/batch", attempt).await;
+        loop {
+            let ack = in_time(acks.recv_async()).await.expect("an answer");
+            let ack: BatchAck = version::decode(&ack.payload().to_bytes()).expect("an ack");
+            assert_eq!(ack.accepted_commands, 1);
+            if ack.verdict == Verdict::Refused(Refusal::NotSigned) {
+                break;
+            }
+        }
+    }
+    let record = until(&alice, "left", |record| record.job.is_none()).await;
+    assert_eq!(record.position[0], 20, "it moved once");
     in_time(left.shutdown()).await;
     in_time(plant.service.shutdown())
         .await

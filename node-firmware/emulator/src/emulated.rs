@@ -15,7 +15,7 @@ use crate::{
 };
 use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
-    command::COMMAND_WORDS,
+    command::COMMAND_WORDS, signed::Proof,
 };
 use motion::{
     MotionConfig, StepBackend, TICKS_PER_US, Ticks,
@@ -460,7 +460,9 @@ impl EmulatedNode {
         if self.cut || self.node.motion().accepted_commands() == accepted_before {
             return;
         }
-        let Ok(mut reader) = BatchReader::new(payload) else {
+        // What signs it is not for the judge of pulses.
+        let Ok(mut reader) = Proof::split(payload).and_then(|(_, order)| BatchReader::new(order))
+        else {
             return;
         };
         let Order::Batch(header) = *reader.order() else {
