@@ -306,6 +306,28 @@ fn jobs_go_when_they_are_old_but_a_wrong_clock_does_not_empty_the_history() {
 }
 
 #[test]
+fn refused_jobs_do_not_push_out_what_was_done() {
+    let config = FleetConfig {
+        retention_jobs: 20,
+        ..FleetConfig::default()
+    };
+    let mut rig = Rig::with(config, 1);
+    rig.add("left");
+    rig.run(10 * MS);
+    let done = rig.accept("left", &moves("done", 1, 1_000));
+    rig.finish(&done, 5 * S);
+    for index in 0..100 {
+        let wrong = json!({"id": format!("wrong-{index}"), "commands": []});
+        rig.put("left", &wrong);
+    }
+    assert_eq!(rig.fleet.jobs().count(), 20);
+    assert_eq!(rig.state(&done), JobState::Succeeded);
+    assert!(rig.fleet.job(&done).is_some(), "the history is still there");
+    assert!(rig.fleet.job(&id("wrong-0")).is_none());
+    assert!(rig.fleet.job(&id("wrong-99")).is_some());
+}
+
+#[test]
 fn an_empty_store_has_nothing_wrong() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("fleet.redb");

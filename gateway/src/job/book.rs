@@ -9,12 +9,19 @@
 
 use super::{Change, Job, JobEntry};
 use crate::fleet::event::{Effect, Lane, Table, Write};
-use keys::{FleetMicros, JobId, Keys, NodeId, record::to_json};
+use keys::{
+    FleetMicros, JobId, Keys, NodeId,
+    record::{JobState, to_json},
+};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// Final jobs that are kept whatever their age, so that a clock which was wrong at a start cannot
 /// empty the history.
 pub const KEPT_JOBS_MIN: usize = 1_000;
+
+/// Which share of the kept jobs may be refused ones before these go first: a client that asks for
+/// nonsense must not push out what was done.
+const REJECTED_SHARE: usize = 10;
 
 /// How long final jobs are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +42,8 @@ pub struct Book {
     history: BTreeMap<u64, JobId>,
     /// Final ones by the time of their end.
     finals: BTreeSet<(FleetMicros, u64)>,
+    /// Those of them that were refused.
+    rejected: BTreeSet<(FleetMicros, u64)>,
     next_sequence: u64,
     held_commands: usize,
     /// Synchronized jobs of which a part has changed since somebody looked.
@@ -50,6 +59,7 @@ impl Book {
             jobs: HashMap::new(),
             history: BTreeMap::new(),
             finals: BTreeSet::new(),
+            rejected: BTreeSet::new(),
             next_sequence: 1,
             held_commands: 0,
             touched: BTreeSet::new(),
@@ -104,8 +114,9 @@ impl Book {
         if let Some(old) = self.jobs.remove(&id) {
             assert!(old.state().is_final(), "job {id} exists and is not final");
             self.history.remove(&old.entry.sequence);
-            self.finals
-                .remove(&(old.entry.record.updated, old.entry.sequence));
+            let place = (old.entry.record.updated, old.entry.sequence);
+            self.finals.remove(&place);
+            self.rejected.remove(&place);
         }
         // The request first: a request without a job is dropped at the next start, a job without
         // its request could not be resumed.
@@ -265,13 +276,10 @@ impl Book {
 
     /// Removes the final jobs that ended first until no more are left than are kept.
     pub fn prune(&mut self, now: FleetMicros, effects: &mut Vec<Effect>) {
-        while let Some((ended, sequence)) = self.finals.first().copied() {
-            let count = self.finals.len();
-            let is_old = count > KEPT_JOBS_MIN && now.since_us(ended) > self.retention.age_us;
-            if count <= self.retention.jobs && !is_old {
-                return;
-            }
-            self.finals.pop_first();
+        while let Some(place) = self.next_to_go(now) {
+            let (_, sequence) = place;
+            self.finals.remove(&place);
+            self.rejected.remove(&place);
             let Some(id) = self.history.remove(&sequence) else {
                 continue;
             };
@@ -283,10 +291,27 @@ impl Book {
         }
     }
 
+    fn next_to_go(&self, now: FleetMicros) -> Option<(FleetMicros, u64)> {
+        let Retention { jobs, age_us } = self.retention;
+        let oldest = *self.finals.first()?;
+        let count = self.finals.len();
+        if count > jobs {
+            let refused = self.rejected.first();
+            let many = self.rejected.len() > jobs / REJECTED_SHARE;
+            return refused.filter(|_| many).or(Some(&oldest)).copied();
+        }
+        let is_old = count > KEPT_JOBS_MIN && now.since_us(oldest.0) > age_us;
+        is_old.then_some(oldest)
+    }
+
     fn index(&mut self, job: Job) {
         let (id, sequence) = (job.id(), job.entry.sequence);
         if job.state().is_final() {
-            self.finals.insert((job.entry.record.updated, sequence));
+            let place = (job.entry.record.updated, sequence);
+            self.finals.insert(place);
+            if job.state() == JobState::Rejected {
+                self.rejected.insert(place);
+            }
         }
         let parts = job.parts.values().map(|part| part.commands.len());
         self.held_commands += job.commands.len() + parts.sum::<usize>();
