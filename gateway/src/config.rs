@@ -1,6 +1,6 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use crate::fleet::FleetConfig;
+use crate::{bus::limits::ClientLimits, fleet::FleetConfig};
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -53,6 +53,8 @@ pub struct GatewayConfig {
     pub credentials: Option<Credentials>,
     /// Bounds and times; its keys are those of `keys`, whatever it says.
     pub fleet: FleetConfig,
+    /// What one client may ask for.
+    pub limits: ClientLimits,
     /// Where `/metrics` and `/healthz` are served by HTTP, see [`crate::http`]. `None` by default.
     pub http: Option<SocketAddr>,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
@@ -72,6 +74,7 @@ impl GatewayConfig {
             secure: None,
             credentials: None,
             fleet: FleetConfig::default(),
+            limits: ClientLimits::default(),
             http: None,
             scouting: false,
         }

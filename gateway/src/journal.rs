@@ -9,17 +9,36 @@
 //! ```
 //!
 //! Promises: when [`Journal::commit`] returns, all its writes are on disk; when it fails or the
-//! power goes, none of them is or all of them are. Two gateways never write the same file.
+//! power goes, none of them is or all of them are. Two gateways never write the same file. A file
+//! that is damaged is refused and left as it is: every page is checked against its checksum before
+//! anything is believed.
 //!
-//! Absent on purpose: a file format of our own; compaction (pages of removed values are used
-//! again); any thread: the shell decides which one blocks.
+//! [`copy`] is a consistent copy of a store that is in use, [`check`] tells what is wrong with one.
+//! A store of which more than half is waste is made smaller when it is opened.
+//!
+//! # Formats
+//! | format | since | what changed |
+//! |---|---|---|
+//! | 1 | the first | – |
+//!
+//! A new format adds a row, a migration within one transaction at the opening, and a store of the
+//! format before to `tests/stores`.
+//!
+//! Absent on purpose: a file format of our own; any thread: the shell decides which one blocks.
+
+pub mod check;
+pub mod copy;
 
 use crate::fleet::{
     Stored,
     event::{Table, Write},
 };
 use redb::{Database, DatabaseError, Durability, ReadableDatabase, ReadableTable, TableDefinition};
-use std::path::{Path, PathBuf};
+use std::{
+    io::Read as _,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 /// The layout that is written. A new one must be able to read every old one.
 pub const FORMAT: u64 = 1;
@@ -30,6 +49,12 @@ const JOBS: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("jobs");
 const NODES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("nodes");
 
 const FORMAT_KEY: &str = "format";
+
+/// Stores smaller than this are not compacted, bytes: there is nothing to be gained.
+pub const COMPACT_BYTES_MIN: u64 = 32 << 20;
+
+/// What a file of the embedded database begins with.
+const MAGIC: &[u8; 4] = b"redb";
 
 /// Why the store cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -59,6 +84,18 @@ pub enum JournalError {
         /// Its format.
         found: u64,
     },
+    /// It is a store, and a part of it is not what was written.
+    #[error(
+        "the store {} is damaged: {why}. It was left as it is; `fleet doctor` tells what is in it. \
+         Begin with a backup, or with a new store after every machine is at rest",
+        .path.display()
+    )]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// How that showed.
+        why: String,
+    },
     /// The disk or the file failed.
     #[error("the store {} failed: {source}", .path.display())]
     Failed {
@@ -73,7 +110,7 @@ pub enum JournalError {
 /// The durable store.
 #[derive(Debug)]
 pub struct Journal {
-    database: Database,
+    database: Arc<Database>,
     path: PathBuf,
 }
 
@@ -85,8 +122,21 @@ impl Journal {
     /// existing file that is no store is left as it is.
     pub fn open(path: impl AsRef<Path>) -> Result<(Self, Stored), JournalError> {
         let path = path.as_ref();
-        let database = Database::create(path).map_err(|error| open_error(path, error))?;
-        Self::from_database(database, path.to_owned())
+        let mut database = Database::create(path).map_err(|error| open_error(path, error))?;
+        // Opening believes the pages; this reads them all.
+        match database.check_integrity() {
+            Ok(true) => {}
+            Ok(false) => {
+                let why = "its pages do not agree with each other".to_owned();
+                let path = path.to_owned();
+                return Err(JournalError::Damaged { path, why });
+            }
+            Err(error) => return Err(open_error(path, error)),
+        }
+        let (mut journal, stored) = Self::from_database(database, path.to_owned())?;
+        let database = Arc::get_mut(&mut journal.database).expect("nobody copies it yet");
+        compact(database, path).map_err(|error| journal.failed(error))?;
+        Ok((journal, stored))
     }
 
     /// Makes a store that vanishes with the journal, for tests and demonstrations.
@@ -102,7 +152,10 @@ impl Journal {
     }
 
     fn from_database(database: Database, path: PathBuf) -> Result<(Self, Stored), JournalError> {
-        let journal = Self { database, path };
+        let journal = Self {
+            database: Arc::new(database),
+            path,
+        };
         let found = journal.prepare().map_err(|error| journal.failed(error))?;
         match found {
             Format::Ours => {}
@@ -133,6 +186,11 @@ impl Journal {
             return Ok(());
         }
         self.write(writes).map_err(|error| self.failed(error))
+    }
+
+    /// Returns what copies the store while it is in use.
+    pub fn copier(&self) -> copy::Copier {
+        copy::Copier::new(Arc::clone(&self.database))
     }
 
     /// Returns the file.
@@ -166,21 +224,7 @@ impl Journal {
     }
 
     fn read(&self) -> Result<Stored, redb::Error> {
-        let transaction = self.database.begin_read()?;
-        let all = |definition: TableDefinition<'_, &str, &[u8]>| -> Result<Vec<(String, Vec<u8>)>, redb::Error> {
-            let table = transaction.open_table(definition)?;
-            let mut rows = Vec::new();
-            for row in table.iter()? {
-                let (key, value) = row?;
-                rows.push((key.value().to_owned(), value.value().to_vec()));
-            }
-            Ok(rows)
-        };
-        Ok(Stored {
-            requests: all(REQUESTS)?,
-            jobs: all(JOBS)?,
-            nodes: all(NODES)?,
-        })
+        read(&*self.database)
     }
 
     fn write(&self, writes: &[Write]) -> Result<(), redb::Error> {
@@ -228,34 +272,84 @@ enum Format {
     Foreign,
 }
 
+/// Reads every row.
+fn read(database: &impl ReadableDatabase) -> Result<Stored, redb::Error> {
+    let transaction = database.begin_read()?;
+    let all = |definition: TableDefinition<'_, &str, &[u8]>| -> Result<Vec<(String, Vec<u8>)>, redb::Error> {
+        let table = transaction.open_table(definition)?;
+        let mut rows = Vec::new();
+        for row in table.iter()? {
+            let (key, value) = row?;
+            rows.push((key.value().to_owned(), value.value().to_vec()));
+        }
+        Ok(rows)
+    };
+    Ok(Stored {
+        requests: all(REQUESTS)?,
+        jobs: all(JOBS)?,
+        nodes: all(NODES)?,
+    })
+}
+
+/// Gives back to the disk what is not used, if that is more than half of a large file.
+fn compact(database: &mut Database, path: &Path) -> Result<(), redb::Error> {
+    let length = std::fs::metadata(path)?.len();
+    if length < COMPACT_BYTES_MIN {
+        return Ok(());
+    }
+    let transaction = database.begin_write()?;
+    let waste = transaction.stats()?.fragmented_bytes();
+    transaction.abort()?;
+    if waste > length / 2 {
+        database.compact()?;
+        let after = std::fs::metadata(path)?.len();
+        tracing::info!(
+            before_bytes = length,
+            after_bytes = after,
+            "the store was compacted"
+        );
+    }
+    Ok(())
+}
+
 fn open_error(path: &Path, error: DatabaseError) -> JournalError {
-    let path = path.to_owned();
-    match error {
-        DatabaseError::DatabaseAlreadyOpen => JournalError::InUse { path },
-        DatabaseError::UpgradeRequired(format) => JournalError::NotAStore {
-            path,
-            why: format!("its database has the old file format {format}"),
-        },
-        // What a database says of a file that is none.
+    // What a database says of a file that is none, or that is not what it was.
+    let why = match error {
+        DatabaseError::DatabaseAlreadyOpen => {
+            let path = path.to_owned();
+            return JournalError::InUse { path };
+        }
+        DatabaseError::UpgradeRequired(format) => {
+            format!("its database has the old file format {format}")
+        }
         DatabaseError::Storage(redb::StorageError::Io(error))
             if matches!(
                 error.kind(),
                 std::io::ErrorKind::InvalidData | std::io::ErrorKind::UnexpectedEof
             ) =>
         {
-            JournalError::NotAStore {
-                path,
-                why: error.to_string(),
-            }
+            error.to_string()
         }
-        DatabaseError::Storage(redb::StorageError::Corrupted(why)) => {
-            JournalError::NotAStore { path, why }
+        DatabaseError::Storage(redb::StorageError::Corrupted(why)) => why,
+        error => {
+            return JournalError::Failed {
+                path: path.to_owned(),
+                source: Box::new(error.into()),
+            };
         }
-        error => JournalError::Failed {
-            path,
-            source: Box::new(error.into()),
-        },
+    };
+    let path = path.to_owned();
+    if begins_as_a_database(&path) {
+        JournalError::Damaged { path, why }
+    } else {
+        JournalError::NotAStore { path, why }
     }
+}
+
+fn begins_as_a_database(path: &Path) -> bool {
+    let mut begin = [0; MAGIC.len()];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin));
+    read.is_ok() && begin == *MAGIC
 }
 
 #[cfg(test)]

@@ -30,6 +30,7 @@ use crate::{
     job::parse::{Parsed, parse, parse_group},
     journal::{Journal, JournalError},
     observe::{self, Snapshot},
+    security::Home,
 };
 use keys::{
     FleetMicros,
@@ -177,6 +178,7 @@ impl Service {
         let mut effects = Vec::new();
         let fleet_config = FleetConfig {
             keys: config.keys.clone(),
+            signers: signers(&config)?,
             ..config.fleet.clone()
         };
         // Any number: it only makes the names of jobs of two runs differ.
@@ -198,6 +200,7 @@ impl Service {
             jobs,
         } = outlets;
 
+        let copier = journal.copier();
         let writer = Writer {
             journal,
             bus: Arc::clone(&bus),
@@ -236,7 +239,11 @@ impl Service {
             fleet,
             writer,
         };
-        if let Err(error) = service.bus.declare(&inbox, clock).await {
+        let declared = async {
+            service.bus.declare(&inbox, clock).await?;
+            service.bus.declare_backup(copier).await
+        };
+        if let Err(error) = declared.await {
             // The first error is the one to tell.
             let _ = service.shutdown().await;
             return Err(error.into());
@@ -297,6 +304,17 @@ impl Service {
         }
         Ok(())
     }
+}
+
+/// Returns whose signatures count: those that the configuration names, and those of the secured
+/// fleet.
+fn signers(config: &GatewayConfig) -> Result<Vec<[u8; 32]>, BusError> {
+    let mut signers = config.fleet.signers.clone();
+    if let Some(folder) = &config.secure {
+        let home = Home::open(folder)?;
+        signers.extend(home.signers()?.iter().map(|signer| signer.key.0));
+    }
+    Ok(signers)
 }
 
 /// Asks the fleet what it is like.

@@ -25,6 +25,8 @@ pub struct Settings {
     pub store: Store,
     /// Bounds and times of the fleet.
     pub fleet: Bounds,
+    /// What one client may ask for.
+    pub client: Client,
 }
 
 /// Section `[network]`.
@@ -57,6 +59,24 @@ pub struct Store {
     /// Final jobs that are kept.
     #[serde(deserialize_with = "within::<10, 10_000_000, _>")]
     pub keep_jobs: Option<u64>,
+    /// Days that final jobs are kept.
+    #[serde(deserialize_with = "within::<1, 36_500, _>")]
+    pub keep_days: Option<u64>,
+}
+
+/// Section `[client]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Client {
+    /// Requests, 1/s.
+    #[serde(deserialize_with = "within::<1, 1_000_000, _>")]
+    pub requests_per_s: Option<u64>,
+    /// Bytes of jobs, MiB/s.
+    #[serde(deserialize_with = "within::<1, 10_000, _>")]
+    pub mib_per_s: Option<u64>,
+    /// Gets that wait for their last reply.
+    #[serde(deserialize_with = "within::<1, 4_096, _>")]
+    pub gets_open: Option<u64>,
 }
 
 /// Section `[fleet]`.
@@ -137,6 +157,7 @@ impl Settings {
             network,
             store,
             fleet,
+            client,
         } = self;
         let file = store.file.unwrap_or_else(|| STORE_DEFAULT.into());
         let mut config = GatewayConfig::new(file);
@@ -149,6 +170,7 @@ impl Settings {
         let FleetConfig {
             silence_us,
             retention_jobs,
+            retention_us,
             waiting_jobs_max,
             held_commands_max,
             nodes_max,
@@ -162,9 +184,20 @@ impl Settings {
         set(progress_us, fleet.progress_ms.map(us));
         set(release_patience_us, fleet.release_ms.map(us));
         set(retention_jobs, store.keep_jobs.map(count));
+        set(
+            retention_us,
+            store.keep_days.map(|days| 86_400_000_000 * days),
+        );
         set(waiting_jobs_max, fleet.waiting_jobs.map(count));
         set(held_commands_max, fleet.held_commands.map(count));
         set(nodes_max, fleet.nodes.map(count));
+        let limits = &mut config.limits;
+        set(&mut limits.requests_per_s, client.requests_per_s);
+        set(
+            &mut limits.bytes_per_s,
+            client.mib_per_s.map(|mib| mib << 20),
+        );
+        set(&mut limits.gets_open, client.gets_open.map(count));
         config
     }
 }
@@ -199,6 +232,7 @@ mod tests {
         let config = settings.clone().into_config();
         let plain = GatewayConfig::new(STORE_DEFAULT);
         assert_eq!(config.fleet, plain.fleet);
+        assert_eq!(config.limits, plain.limits);
         assert_eq!(config.listen(), plain.listen());
         assert_eq!(config.store, plain.store);
         assert_eq!(config.scouting, plain.scouting);
@@ -212,12 +246,15 @@ mod tests {
             network,
             store,
             fleet,
+            client,
         } = Settings::parse(&switched_on()).expect("legal");
+        let of_client = [client.requests_per_s, client.mib_per_s, client.gets_open];
+        assert!(of_client.iter().all(Option::is_some), "{of_client:?}");
         assert!(network.listen.is_some() && network.prefix.is_some() && network.scouting.is_some());
         for name in ["connect", "secure", "http"] {
             assert!(DEFAULTS.contains(&format!("# {name} = ")), "{name}");
         }
-        assert!(store.file.is_some() && store.keep_jobs.is_some());
+        assert!(store.file.is_some() && store.keep_jobs.is_some() && store.keep_days.is_some());
         let bounds = [
             fleet.nodes,
             fleet.waiting_jobs,

@@ -5,17 +5,30 @@
 //! the operator's, does something that is allowed, and when that has come to pass the attempt has
 //! been passed over.
 
-use base64::Engine as _;
 use emulator::{EmulatorConfig, wall};
 use gateway::{
+    bus::limits::ClientLimits,
     config::GatewayConfig,
-    security::{Home, Role},
+    fleet::commands_of,
+    journal::{
+        Journal,
+        copy::{CopyFile, Piece},
+    },
+    security::{
+        Home, Role,
+        home::read_secret,
+        signing::{Signer, root_of, statement},
+    },
     service::Service,
 };
 use keys::{
-    AxisStatus, Features, LocalMicros, NodeId, NodeState, QueueId, Status,
+    AxisStatus, BatchAck, BatchReader, Features, LocalMicros, NodeId, NodeState, Order, QueueId,
+    Refusal, Status, Verdict,
+    batch::{BatchWriter, ORDER_BYTES_MAX},
     credentials::Credentials,
+    job::JobRequest,
     record::{ErrorReply, JobRecord, NodeRecord},
+    signed::{PROOF_BYTES_MAX, Proof},
     version,
 };
 use serde_json::{Value, json};
@@ -41,51 +54,55 @@ fn name(text: &str) -> NodeId {
 
 async fn session(to: &str, credentials: Option<&Credentials>) -> zenoh::Result<Session> {
     let mut config = zenoh::Config::default();
-    let mut pairs = vec![
+    let pairs = [
         ("mode", json!("client")),
         ("connect/endpoints", json!([to])),
         ("scouting/multicast/enabled", json!(false)),
         ("transport/unicast/open_timeout", json!(60_000)),
     ];
+    let mut pairs: Vec<(&str, String)> = pairs.map(|(key, value)| (key, value.to_string())).into();
     if let Some(credentials) = credentials {
-        pairs.push(("transport/auth/usrpwd/user", json!(credentials.user)));
-        pairs.push((
-            "transport/auth/usrpwd/password",
-            json!(credentials.password),
-        ));
-        if let Some(ca) = &credentials.ca {
-            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-            pairs.push(("transport/link/tls/root_ca_certificate_base64", json!(ca)));
-        }
+        pairs.extend(credentials.zenoh_settings());
     }
     for (key, value) in pairs {
-        config.insert_json5(key, &value.to_string()).expect("known");
+        config.insert_json5(key, &value).expect("known");
     }
     zenoh::open(config).await
 }
 
 impl Plant {
-    /// A secured fleet with an operator, a viewer and two nodes that may connect.
+    /// A secured fleet with two operators, a viewer and two nodes that may connect.
     async fn new() -> Self {
+        Self::with(ClientLimits::default()).await
+    }
+
+    async fn with(limits: ClientLimits) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let home = folder.path().join("home");
         let mut made = Home::init(&home, &[]).expect("made");
         for (user, role) in [
             ("alice", Role::Operator),
+            ("carol", Role::Operator),
             ("bob", Role::Viewer),
             ("left", Role::Node),
             ("right", Role::Node),
         ] {
             made.add(name(user), role).expect("added");
         }
+        Self::start(folder, made, limits).await
+    }
+
+    /// Starts the gateway of a fleet that stands in `home` below the folder.
+    async fn start(folder: tempfile::TempDir, home: Home, limits: ClientLimits) -> Self {
         let config = GatewayConfig {
             listen: vec!["tls/127.0.0.1:0".into(), "tcp/127.0.0.1:0".into()],
-            secure: Some(home),
+            secure: Some(folder.path().join("home")),
+            limits,
             ..GatewayConfig::new(folder.path().join("fleet.redb"))
         };
         Self {
             service: in_time(Service::start(config)).await.expect("started"),
-            home: made,
+            home,
             _folder: folder,
         }
     }
@@ -111,8 +128,8 @@ impl Plant {
         session.expect("connected")
     }
 
-    /// Switches an emulated node on, with its own credentials.
-    fn node(&self, node: &str) -> wall::EmulatedHandle {
+    /// An emulated node with its own credentials.
+    fn emulator(&self, node: &str) -> EmulatorConfig {
         let credentials = self.credentials(node);
         let mut config = EmulatorConfig::new(name(node));
         config.connect = self.tcp().to_owned();
@@ -120,7 +137,12 @@ impl Plant {
             user: credentials.user,
             password: credentials.password,
         });
-        wall::spawn(config).expect("spawned")
+        config
+    }
+
+    /// Switches one on.
+    fn node(&self, node: &str) -> wall::EmulatedHandle {
+        wall::spawn(self.emulator(node)).expect("spawned")
     }
 }
 
@@ -379,6 +401,222 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     assert!(receipt[0].is_ok(), "{receipt:?}");
     let sample = in_time(follow.recv_async()).await.expect("a record");
     assert_eq!(sample.key_expr().as_str(), "fleet/job/first");
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_that_floods_is_refused_and_another_one_gets_its_turn() {
+    let limits = ClientLimits {
+        requests_per_s: 1,
+        ..ClientLimits::default()
+    };
+    let plant = Plant::with(limits).await;
+    let (alice, carol) = (plant.session("alice").await, plant.session("carol").await);
+    // Twice what may come at once, by put and by get; each get is answered one way or the other.
+    for index in 0..10 {
+        put(&alice, "fleet/job/none/cancel", format!("{index}")).await;
+    }
+    let mut refused = 0;
+    for _ in 0..10 {
+        for answer in ask(&alice, "fleet/job/none", None).await {
+            let error = answer.expect_err("there is no such job").error;
+            match error.code.as_str() {
+                "not_allowed" => refused += 1,
+                _ => assert!(error.message.contains("none"), "{error:?}"),
+            }
+        }
+    }
+    assert!(refused > 0, "20 requests came through, 10 may");
+    // A put that is refused leaves one record, not one for each.
+    let follow = in_time(carol.declare_subscriber("fleet/job/*")).await;
+    let follow = follow.expect("declared");
+    for index in 0..20 {
+        let job = job(&format!("flood-{index}")).to_string();
+        put(&alice, "fleet/node/left/job", job).await;
+    }
+    ask(&alice, "fleet/job/none", None).await;
+    let answer = ask(&carol, "fleet/node/nobody/job", Some(&job("carols"))).await;
+    let error = answer[0].as_ref().expect_err("there is no such node");
+    assert_eq!(
+        error.error.code.as_str(),
+        "unknown_node",
+        "her own limit is untouched"
+    );
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+    let mut records = 0;
+    while let Ok(Some(sample)) = follow.try_recv() {
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        assert_eq!(record.state.as_str(), "rejected");
+        records += 1;
+    }
+    assert!(records < 20, "{records} records of 20 puts");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_job_that_is_too_large_is_refused_and_the_client_may_go_on() {
+    let plant = Plant::new().await;
+    let alice = plant.session("alice").await;
+    let large = Value::from("x".repeat(keys::job::JOB_BYTES_MAX));
+    let answer = ask(&alice, "fleet/node/left/job", Some(&large)).await;
+    let error = answer[0].as_ref().expect_err("it is too large");
+    assert_eq!(error.error.code.as_str(), "too_large");
+    let answer = ask(&alice, "fleet/node/left/job", Some(&job("small"))).await;
+    let error = answer[0].as_ref().expect_err("there is no such node");
+    // Her bytes are used up for now, or there was time enough.
+    let code = error.error.code.as_str();
+    assert!(["not_allowed", "unknown_node"].contains(&code), "{code}");
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_gets_a_backup_of_a_running_gateway_and_nobody_else_does() {
+    let plant = Plant::new().await;
+    let left = plant.node("left");
+    let alice = plant.session("alice").await;
+    until(&alice, "left", |record| record.alive).await;
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&job("one"))).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    let begin = async |session: &Session| {
+        let get = session
+            .get("fleet/store/backup")
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE);
+        in_time(get).await.expect("asked")
+    };
+    let (bob, right) = (plant.session("bob").await, plant.session("right").await);
+    let denied = [begin(&bob).await, begin(&right).await];
+    // Behind his question: it has been passed over.
+    ask(&bob, "fleet/node/left/state", None).await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("backup.redb");
+    let mut file = CopyFile::create(&path).expect("created");
+    let replies = begin(&alice).await;
+    while let Ok(reply) = in_time(replies.recv_async()).await {
+        let sample = reply.result().expect("a piece");
+        let piece = Piece::decode(&sample.payload().to_bytes()).expect("a piece");
+        file.take(piece).expect("the next one");
+    }
+    // One backup is given at a time: theirs would have come before hers.
+    for replies in denied {
+        while let Ok(Some(reply)) = replies.try_recv() {
+            assert!(reply.result().is_err(), "somebody got it");
+        }
+    }
+    file.finish().expect("whole");
+    let (_journal, stored) = Journal::open(&path).expect("a store");
+    assert!(stored.jobs.iter().any(|(name, _)| name == "one"));
+    in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_operator_signed_is_executed_once_even_if_the_router_belongs_to_somebody_else() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let home = folder.path().join("home");
+    let mut made = Home::init(&home, &[]).expect("made");
+    for (user, role) in [("alice", Role::Operator), ("left", Role::Node)] {
+        made.add(name(user), role).expect("added");
+    }
+    let key = made.add_signer(name("alice")).expect("made");
+    let key = Signer::parse(&read_secret(&key).expect("private")).expect("a key");
+    let signers = made.signers().expect("a list");
+    let plant = Plant::start(folder, made, ClientLimits::default()).await;
+    let mut config = plant.emulator("left");
+    config.signers.push(signers[0].key.0).expect("room");
+    let left = wall::spawn(config).expect("spawned");
+    let alice = plant.session("alice").await;
+    // Whoever has the router has its rights.
+    let mallory = plant.session("gateway").await;
+    let orders = in_time(mallory.declare_subscriber("fleet/node/left/batch")).await;
+    let orders = orders.expect("declared");
+    let acks = in_time(mallory.declare_subscriber("fleet/node/left/ack")).await;
+    let acks = acks.expect("declared");
+    let statuses = in_time(alice.declare_subscriber("fleet/node/left/status")).await;
+    let statuses = statuses.expect("declared");
+    until(&alice, "left", |record| {
+        record.alive && record.clock.is_some()
+    })
+    .await;
+    let status = in_time(statuses.recv_async()).await.expect("a status");
+    let status: Status = version::decode(&status.payload().to_bytes()).expect("a status");
+    let boot = status.queue.boot;
+
+    let unsigned = ask(&alice, "fleet/node/left/job", Some(&job("unsigned"))).await;
+    let error = unsigned[0].as_ref().expect_err("it is not signed");
+    assert_eq!(error.error.code.as_str(), "not_allowed");
+    let mut signed = job("signed");
+    let request = JobRequest::from_json(signed.to_string().as_bytes()).expect("legal");
+    let root = root_of(&commands_of(&request), None).expect("short");
+    let node = name("left");
+    let id = request.id.expect("it has one");
+    let signature = key.sign(&statement(&node, &id, boot, 1, root));
+    let mut stolen = job("stolen");
+    stolen["signature"] = serde_json::to_value(&signature).expect("JSON");
+    let refused = ask(&alice, "fleet/node/left/job", Some(&stolen)).await;
+    let error = refused[0].as_ref().expect_err("it is another job's");
+    assert_eq!(error.error.code.as_str(), "not_allowed");
+
+    let follow = in_time(alice.declare_subscriber("fleet/job/signed")).await;
+    let follow = follow.expect("declared");
+    signed["signature"] = serde_json::to_value(&signature).expect("JSON");
+    let receipt = ask(&alice, "fleet/node/left/job", Some(&signed)).await;
+    assert!(receipt[0].is_ok(), "{receipt:?}");
+    loop {
+        let sample = in_time(follow.recv_async()).await.expect("a record");
+        let record: JobRecord =
+            serde_json::from_slice(&sample.payload().to_bytes()).expect("a job record");
+        if record.state.is_final() {
+            assert_eq!(record.state.as_str(), "succeeded", "{record:?}");
+            assert_eq!(record.result.expect("it moved").position[0], 20);
+            break;
+        }
+    }
+
+    // The order once more, at the place that is next now.
+    let order = in_time(orders.recv_async()).await.expect("an order");
+    let order = order.payload().to_bytes().into_owned();
+    let (proof, plain) = Proof::split(&order).expect("an order");
+    let mut proof = proof.expect("it is signed");
+    let mut reader = BatchReader::new(plain).expect("a batch");
+    let Order::Batch(mut header) = *reader.order() else {
+        panic!("no batch")
+    };
+    let mut writer = BatchWriter::new();
+    while let Some(command) = reader.next_command().expect("a command") {
+        assert!(writer.push(&command));
+    }
+    header.first_command = header.job_end;
+    header.job_end += u64::from(header.command_count);
+    proof.first_command = header.first_command;
+    let mut buffer = [0; ORDER_BYTES_MAX];
+    let plain = writer.finish(header, &mut buffer).expect("room");
+    let mut replay = vec![0; PROOF_BYTES_MAX];
+    let used = proof.write(&mut replay).expect("room");
+    replay.truncate(used);
+    replay.extend_from_slice(plain);
+    for attempt in [replay, plain.to_vec()] {
+        put(&mallory, "fleet/node/left/batch", attempt).await;
+        loop {
+            let ack = in_time(acks.recv_async()).await.expect("an answer");
+            let ack: BatchAck = version::decode(&ack.payload().to_bytes()).expect("an ack");
+            assert_eq!(ack.accepted_commands, 1);
+            if ack.verdict == Verdict::Refused(Refusal::NotSigned) {
+                break;
+            }
+        }
+    }
+    let record = until(&alice, "left", |record| record.job.is_none()).await;
+    assert_eq!(record.position[0], 20, "it moved once");
+    in_time(left.shutdown()).await;
     in_time(plant.service.shutdown())
         .await
         .expect("a clean end");

@@ -276,4 +276,6 @@ pub enum Refusal {
     },
     /// A script is running, and the queue is its own until it ends.
     ScriptRuns,
+    /// The node executes only what an operator has signed, and this is not, or it was before.
+    NotSigned,
 }

@@ -3,8 +3,14 @@
 //! Written by `fleet init` and `fleet users`, read by the command line and the dashboard. The file
 //! holds a password: whoever reads it must refuse one that others may read.
 
+use base64::Engine as _;
 use serde::{Deserialize, Serialize};
-use std::{fmt, format, string::String, vec::Vec};
+use std::{
+    fmt, format,
+    string::{String, ToString},
+    vec,
+    vec::Vec,
+};
 
 /// The content of a credentials file, JSON.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,6 +53,22 @@ impl Credentials {
         text.push('\n');
         text
     }
+
+    /// Returns what a zenoh client has to set to connect as this user and to trust nobody else:
+    /// the name of each setting and its value as JSON. Where to connect is not among it. The values
+    /// are secrets: an error about one must not quote it.
+    pub fn zenoh_settings(&self) -> Vec<(&'static str, String)> {
+        let text = |value: &str| serde_json::Value::from(value).to_string();
+        let mut settings = vec![
+            ("transport/auth/usrpwd/user", text(&self.user)),
+            ("transport/auth/usrpwd/password", text(&self.password)),
+        ];
+        if let Some(ca) = &self.ca {
+            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
+            settings.push(("transport/link/tls/root_ca_certificate_base64", text(&ca)));
+        }
+        settings
+    }
 }
 
 impl fmt::Debug for Credentials {
@@ -62,7 +84,6 @@ impl fmt::Debug for Credentials {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::vec;
 
     fn alice() -> Credentials {
         Credentials {
@@ -76,6 +97,19 @@ mod tests {
     #[test]
     fn what_is_written_is_read() {
         assert_eq!(Credentials::from_json(&alice().to_json()), Ok(alice()));
+    }
+
+    #[test]
+    fn a_client_is_told_user_password_and_authority_and_no_address() {
+        let names = |credentials: &Credentials| -> Vec<&str> {
+            let settings = credentials.zenoh_settings().into_iter();
+            settings.map(|(name, _)| name).collect()
+        };
+        let mut alice = alice();
+        assert_eq!(names(&alice).len(), 3);
+        assert_eq!(alice.zenoh_settings()[1].1, "\"hush\"");
+        alice.ca = None;
+        assert_eq!(names(&alice).len(), 2);
     }
 
     #[test]

@@ -6,12 +6,14 @@
 mod barriers;
 mod command;
 mod json;
+mod signature;
 
 pub use command::{
     BarrierFields, CommandError, HomeFields, JobCommand, LaserFields, LidarReadFields, LineFields,
     MoveCFields, MoveDFields, MoveFields, PauseFields, RampFields, RampToFields, SetPositionFields,
     StatusCdFields, SyncMoveFields,
 };
+pub use signature::{Hex, JobSignature};
 
 use crate::{
     JobId, NodeId,
@@ -53,6 +55,9 @@ pub struct JobRequest {
     pub offline: Offline,
     /// Longest time from the first command sent to the last pulse, s.
     pub timeout_s: Option<f64>,
+    /// The operator's signature, for nodes that ask for one. In JSON only.
+    #[serde(skip)]
+    pub signature: Option<JobSignature>,
 }
 
 /// A synchronized job as a client asks for it: one part for each node, started together.

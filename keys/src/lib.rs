@@ -31,6 +31,10 @@ pub mod pace;
 #[cfg(feature = "json")]
 pub mod record;
 pub mod script;
+#[cfg(feature = "signed")]
+pub mod signed;
+#[cfg(feature = "json")]
+pub mod signers;
 pub mod start;
 pub mod status;
 pub mod stop;

@@ -9,7 +9,6 @@ use crate::{
     message::{Answer, LinkEvent, Message},
     request::Request,
 };
-use base64::Engine as _;
 use keys::{
     Keys, NodeId, NodeTopic, Status, Topic,
     credentials::Credentials,
@@ -199,12 +198,8 @@ async fn open(locator: Option<&str>, credentials: Option<&Credentials>) -> Resul
         None => set("scouting/multicast/enabled", "true".to_owned())?,
     }
     if let Some(credentials) = credentials {
-        set("transport/auth/usrpwd/user", text(&credentials.user))?;
-        let password = text(&credentials.password);
-        set("transport/auth/usrpwd/password", password)?;
-        if let Some(ca) = &credentials.ca {
-            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-            set("transport/link/tls/root_ca_certificate_base64", text(&ca))?;
+        for (key, value) in credentials.zenoh_settings() {
+            set(key, value)?;
         }
     }
     let nobody = || match locator {

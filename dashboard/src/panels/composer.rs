@@ -149,6 +149,7 @@ impl ComposerView {
                     work: Work::Lua(text.clone()),
                     offline: keys::job::Offline::default(),
                     timeout_s: None,
+                    signature: None,
                 }),
             };
             let error = outcome.as_ref().err();

@@ -7,13 +7,18 @@
 //! that merely includes one of ours (`fleet/**`) reads records and stops nodes, and never gives a
 //! job, a cancel or a release: a tool that looks at everything must not move a motor.
 
-use super::{Addressee, Arrived, GETS_OPEN_MAX, Inbox, WallClock, busy, zenoh::Payload};
+use super::{
+    Addressee, Arrived, GETS_OPEN_MAX, Inbox, WallClock, busy,
+    limits::{Admission, Client, ClientLimits, Limits},
+    refusal_event, too_often,
+    zenoh::Payload,
+};
 use crate::{
     fleet::event::{Event, ReplyTo},
     job::parse::wish_from,
 };
 use keys::{
-    Keys, NodeId, NodeTopic, Stop, Topic,
+    FleetMicros, Keys, NodeId, NodeTopic, Stop, Topic,
     record::{ErrorReply, JobError, to_json},
 };
 use std::{
@@ -30,39 +35,70 @@ use zenoh::{
     sample::{Sample, SampleKind},
 };
 
-/// Gets that wait for replies.
-#[derive(Default)]
+/// Gets that wait for replies, and what each client has asked for.
 pub(super) struct Gets {
-    open: Mutex<HashMap<ReplyTo, Query>>,
+    open: Mutex<HashMap<ReplyTo, (Query, Client)>>,
     next: AtomicU64,
+    limits: Mutex<Limits>,
 }
 
 impl Gets {
-    fn open(&self) -> MutexGuard<'_, HashMap<ReplyTo, Query>> {
+    pub(super) fn new(limits: ClientLimits) -> Self {
+        Self {
+            open: Mutex::default(),
+            next: AtomicU64::default(),
+            limits: Mutex::new(Limits::new(limits)),
+        }
+    }
+
+    fn open(&self) -> MutexGuard<'_, HashMap<ReplyTo, (Query, Client)>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn limits(&self) -> MutexGuard<'_, Limits> {
+        self.limits.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a message of a node, or drops it.
+    fn hear(&self, node: NodeId, now: FleetMicros) -> bool {
+        self.limits().hear(node, now)
+    }
+
+    /// Counts a request of the client that is calling.
+    fn count(&self, bytes: usize, now: FleetMicros) -> Admission {
+        self.limits().admit(Client::of_this_call(), bytes, now)
+    }
+
     /// Keeps a get until its end; `None`: there are too many, it has been told.
-    fn admit(&self, query: &Query) -> Option<ReplyTo> {
+    fn admit(&self, query: &Query, now: FleetMicros) -> Option<ReplyTo> {
+        let bytes = query.payload().map_or(0, |payload| payload.len());
+        let client = Client::of_this_call();
+        if self.count(bytes, now) != Admission::Taken || !self.limits().open_get(client) {
+            refuse(query, too_often());
+            return None;
+        }
         let mut open = self.open();
         if open.len() >= GETS_OPEN_MAX {
             drop(open);
+            self.limits().close_get(client);
             refuse(query, busy());
             return None;
         }
         let to = ReplyTo(self.next.fetch_add(1, Ordering::Relaxed));
-        open.insert(to, query.clone());
+        open.insert(to, (query.clone(), client));
         Some(to)
     }
 
     /// Returns an open get.
     pub(super) fn get(&self, to: ReplyTo) -> Option<Query> {
-        self.open().get(&to).cloned()
+        self.open().get(&to).map(|(query, _)| query.clone())
     }
 
     /// Forgets a get. The client hears the end when the last copy of the query is dropped.
     pub(super) fn remove(&self, to: ReplyTo) -> Option<Query> {
-        self.open().remove(&to)
+        let (query, client) = self.open().remove(&to)?;
+        self.limits().close_get(client);
+        Some(query)
     }
 
     /// Forgets all.
@@ -165,6 +201,15 @@ impl Ear {
             return;
         };
         let pattern = name.to_owned();
+        match self.door {
+            Door::Node(NodeTopic::Job | NodeTopic::Release) | Door::GroupJob | Door::JobCancel => {
+                match self.gets.count(sample.payload().len(), at) {
+                    Admission::Taken => {}
+                    Admission::Refused { tell } => return self.refuse_put(pattern, tell),
+                }
+            }
+            Door::Node(_) | Door::Job => {}
+        }
         let job = |to| {
             let payload = Payload(sample.payload().clone());
             self.inbox
@@ -191,6 +236,9 @@ impl Ear {
             }
             Door::Node(topic) => {
                 let Ok(node) = NodeId::new(name) else { return };
+                if !self.gets.hear(node, at) {
+                    return self.inbox.note_dropped(&"a node says too much");
+                }
                 let event = Event::FromNode {
                     node,
                     topic,
@@ -205,6 +253,17 @@ impl Ear {
         let _ = taken;
     }
 
+    /// A client has put too much: a job leaves a record, if that is not too much as well.
+    fn refuse_put(&self, pattern: String, tell: bool) {
+        let to = match self.door {
+            Door::Node(NodeTopic::Job) if tell => Addressee::Node(pattern),
+            Door::GroupJob if tell => Addressee::Group(pattern),
+            _ => return self.inbox.note_dropped(&"a client asks for too much"),
+        };
+        // Full: counted by the inbox.
+        let _ = self.inbox.event(refusal_event(to, too_often(), None));
+    }
+
     /// Takes a get.
     pub(super) fn get(&self, query: &Query) {
         let key = query.key_expr().as_str();
@@ -214,7 +273,7 @@ impl Ear {
             None if reads => "*".to_owned(),
             None => return,
         };
-        let Some(to) = self.gets.admit(query) else {
+        let Some(to) = self.gets.admit(query, self.clock.now()) else {
             return;
         };
         let reply = Some(to);

@@ -16,9 +16,13 @@
 //! | jobs | [`JOBS_WAITING_MAX`], [`JOBS_WAITING_KIB_MAX`] | refused as `internal`, "busy": an error reply, or a record with state `rejected` |
 //! | open gets | [`GETS_OPEN_MAX`] | answered `internal`, "busy" |
 //!
+//! Before any of that, what one client or one node may send is bounded: see [`limits`].
+//!
 //! Deliberately absent: anything that knows what a job or a node is.
 
+pub mod backup;
 mod ear;
+pub mod limits;
 pub mod zenoh;
 
 use crate::fleet::event::{Event, ReplyTo};
@@ -245,6 +249,14 @@ pub fn busy() -> JobError {
     JobError::new(
         ErrorCode::Internal,
         "the gateway is busy: too much waits to be read; nothing was taken, try again",
+    )
+}
+
+/// The refusal of a client that asks for too much.
+pub fn too_often() -> JobError {
+    JobError::new(
+        ErrorCode::NotAllowed,
+        "this client asks for too much at a time; nothing was taken, try again more slowly",
     )
 }
 

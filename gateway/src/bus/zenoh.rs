@@ -19,14 +19,15 @@
 
 use super::{
     Inbox, WallClock,
+    backup::{BACKUP, Backup},
     ear::{Door, Ear, Gets, refuse},
 };
 use crate::{
     config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
     fleet::event::{Lane, ReplyTo},
+    journal::copy::Copier,
     security::{Home, HomeError},
 };
-use base64::Engine as _;
 use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError};
 use std::{
     net::{SocketAddr, TcpListener},
@@ -186,7 +187,7 @@ impl Bus {
             main,
             swift,
             keys: config.keys.clone(),
-            gets: Arc::default(),
+            gets: Arc::new(Gets::new(config.limits)),
             doors: Mutex::default(),
             locators,
         };
@@ -308,6 +309,25 @@ impl Bus {
             .await
             .map_err(zenoh_error)?;
         while replies.recv_async().await.is_ok() {}
+        Ok(())
+    }
+
+    /// Answers a get on [`BACKUP`] with a copy of the store, piece by piece; one at a time.
+    ///
+    /// # Errors
+    /// [`BusError::Zenoh`].
+    pub async fn declare_backup(&self, copier: Copier) -> Result<(), BusError> {
+        let key = format!("{}/{BACKUP}", self.keys.prefix());
+        let backup = Backup::new(key.clone(), copier);
+        let queryable = self
+            .main
+            .declare_queryable(key)
+            .complete(true)
+            .callback(move |query| backup.answer(query))
+            .await
+            .map_err(zenoh_error)?;
+        let mut doors = self.doors.lock().unwrap_or_else(PoisonError::into_inner);
+        doors.queryables.push(queryable);
         Ok(())
     }
 
@@ -512,15 +532,7 @@ async fn open_client(
         ),
     ];
     if let Some(credentials) = credentials {
-        pairs.push(("transport/auth/usrpwd/user", json(&credentials.user)));
-        pairs.push((
-            "transport/auth/usrpwd/password",
-            json(&credentials.password),
-        ));
-        if let Some(ca) = &credentials.ca {
-            let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-            pairs.push(("transport/link/tls/root_ca_certificate_base64", json(&ca)));
-        }
+        pairs.extend(credentials.zenoh_settings());
     }
     zenoh::open(settings(&pairs)?)
         .await

@@ -20,7 +20,7 @@ use super::{
     Fleet,
     event::{Effect, Lane, ReplyTo},
     start::{Edge, Limits, Start, Step},
-    submit::{check_script, script_of},
+    submit::{check_script, demand_no_signature, script_of},
 };
 use crate::job::{
     Ending, Job, JobEntry,
@@ -174,6 +174,9 @@ impl Fleet {
         };
         if let Some(id) = request.id.filter(exists) {
             return self.receipt(&id, &key, reply, effects);
+        }
+        if let Err(error) = demand_no_signature(&self.config.signers) {
+            return self.refuse(error, request.id, None, Some(group), None, reply, effects);
         }
         let parts = parts_of(request);
         let mut refusals = self.refusals(request, &parts);

@@ -31,8 +31,12 @@ mod timers;
 
 pub use history::{LIMIT_DEFAULT, LIMIT_MAX};
 pub use restore::{RestoreError, Stored};
+pub use submit::commands_of;
 
-use crate::job::{Ending, Job, book::Book};
+use crate::job::{
+    Ending, Job,
+    book::{Book, Retention},
+};
 use event::{Effect, Event, ReplyTo};
 use group::Group;
 use keys::{
@@ -61,6 +65,10 @@ pub struct FleetConfig {
     pub window_batches: usize,
     /// Final jobs that are kept; the oldest goes first, and its id is free again.
     pub retention_jobs: usize,
+    /// Longest time that a final job is kept, µs; the newest
+    /// [`KEPT_JOBS_MIN`](crate::job::book::KEPT_JOBS_MIN) may be older. A year: the question who
+    /// made a part comes within its guarantee.
+    pub retention_us: u64,
     /// Jobs that may wait for one node; one more is refused as `too_large`.
     pub waiting_jobs_max: usize,
     /// Commands that all jobs which are not final may hold together, 32 bytes each; more are
@@ -76,6 +84,8 @@ pub struct FleetConfig {
     pub stop_repeat_us: u64,
     /// How long a release is tried, µs.
     pub release_patience_us: u64,
+    /// Public keys of operators: a job that none of them has signed is refused. None by default.
+    pub signers: Vec<[u8; 32]>,
 }
 
 impl FleetConfig {
@@ -86,6 +96,7 @@ impl FleetConfig {
             silence_us: 5_000_000,
             window_batches: 4,
             retention_jobs: 10_000,
+            retention_us: 365 * 86_400_000_000,
             waiting_jobs_max: 1_000,
             held_commands_max: 4_000_000,
             nodes_max: 4_096,
@@ -93,6 +104,7 @@ impl FleetConfig {
             node_record_us: 50_000,
             stop_repeat_us: 500_000,
             release_patience_us: 3_000_000,
+            signers: Vec::new(),
         }
     }
 }
@@ -133,7 +145,13 @@ impl Fleet {
     /// Begins without jobs and nodes. The seed makes ids of different gateways different.
     pub fn new(config: FleetConfig, seed: u64) -> Self {
         Self {
-            book: Book::new(config.keys.clone(), config.retention_jobs),
+            book: Book::new(
+                config.keys.clone(),
+                Retention {
+                    jobs: config.retention_jobs,
+                    age_us: config.retention_us,
+                },
+            ),
             config,
             nodes: BTreeMap::new(),
             timers: Timers::default(),

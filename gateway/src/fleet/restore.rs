@@ -98,7 +98,7 @@ impl Fleet {
                 key,
             }));
         }
-        fleet.book.prune(effects);
+        fleet.book.prune(now, effects);
         fleet.book.tell_again(LIMIT_DEFAULT, effects);
         let nodes: Vec<NodeId> = fleet.nodes.keys().copied().collect();
         for id in nodes {

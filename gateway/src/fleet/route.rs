@@ -14,10 +14,12 @@
 //! Absent on purpose: persistence. Numbers make a repeated batch harmless, so what was sent need
 //! not be remembered over a restart.
 
+use crate::security::signing::{Signed, script_bytes};
 use keys::{
     BatchHeader, Command, FleetMicros, JobId, Order, QueueId, Refusal, ScriptHeader,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     script::PART_BYTES_MAX,
+    signed::PROOF_BYTES_MAX,
 };
 use std::{collections::VecDeque, sync::Arc};
 
@@ -84,6 +86,7 @@ pub struct Route {
     round_trip: RoundTrip,
     /// Takes the last number of all.
     script: Option<Arc<str>>,
+    signed: Option<Signed>,
 }
 
 /// What a refusal means for the job.
@@ -103,6 +106,8 @@ pub enum Setback {
     },
     /// The node does not understand the orders at all.
     Malformed,
+    /// The node executes only what is signed by somebody whom it knows, once.
+    NotSigned,
 }
 
 impl Route {
@@ -131,7 +136,15 @@ impl Route {
             malformed_count: 0,
             round_trip,
             script: None,
+            signed: None,
         }
+    }
+
+    /// Sends the proof of a signature with each order.
+    #[must_use]
+    pub fn with_signature(mut self, signed: Option<Signed>) -> Self {
+        self.signed = signed;
+        self
     }
 
     /// Sends a script behind the commands; `end` counts it.
@@ -212,6 +225,7 @@ impl Route {
                 Some(index) => Setback::OutOfReach { index },
                 None => Setback::None,
             },
+            Refusal::NotSigned => Setback::NotSigned,
             Refusal::Malformed => {
                 self.malformed_count += 1;
                 if self.malformed_count >= MALFORMED_COUNT_MAX {
@@ -249,6 +263,19 @@ impl Route {
             self.go_back(now);
         }
         let limit = limit.min(self.end);
+        let signed = self.signed.clone();
+        let mut send = |bytes: &[u8], end: u64| match &signed {
+            None => send(bytes),
+            Some(signed) => {
+                let mut buffer = [0; PROOF_BYTES_MAX + ORDER_BYTES_MAX];
+                let used = signed
+                    .proof(end)
+                    .write(&mut buffer)
+                    .expect("the buffer has room for a proof");
+                buffer[used..used + bytes.len()].copy_from_slice(bytes);
+                send(&buffer[..used + bytes.len()]);
+            }
+        };
         while self.flights.len() < self.window_batches && self.next < limit {
             let first = self.next;
             if let Some(script) = &self.script
@@ -288,7 +315,7 @@ impl Route {
             let bytes = writer
                 .finish(header, &mut buffer)
                 .expect("the buffer has the size that the writer asks for");
-            send(bytes);
+            send(bytes, first + count);
             self.next += count;
             self.flights.push_back(Flight {
                 end: self.next,
@@ -299,11 +326,10 @@ impl Route {
         }
     }
 
-    fn send_script(&self, script: &str, first: u64, send: &mut impl FnMut(&[u8])) {
-        // A node wants at least one part.
-        let text = if script.is_empty() { " " } else { script };
+    fn send_script(&self, script: &str, first: u64, send: &mut impl FnMut(&[u8], u64)) {
+        let text = script_bytes(script);
         let mut offset_bytes = 0;
-        for part in text.as_bytes().chunks(PART_BYTES_MAX) {
+        for part in text.chunks(PART_BYTES_MAX) {
             let order = Order::Script(ScriptHeader {
                 queue: self.queue,
                 first_command: first,
@@ -316,7 +342,7 @@ impl Route {
                 .expect("a header has at most 80 bytes")
                 .len();
             buffer[used..used + part.len()].copy_from_slice(part);
-            send(&buffer[..used + part.len()]);
+            send(&buffer[..used + part.len()], self.end);
             offset_bytes += part.len() as u32;
         }
     }

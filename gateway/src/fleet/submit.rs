@@ -14,10 +14,13 @@ use super::{
     event::{Effect, ReplyTo},
     pattern::Pattern,
 };
-use crate::job::{Job, JobEntry, new_record};
+use crate::{
+    job::{Job, JobEntry, new_record},
+    security::signing,
+};
 use keys::{
     Command, Features, GroupId, JobId, NodeId, NodeTopic,
-    job::{JobRequest, Offline, Work},
+    job::{JobRequest, JobSignature, Offline, Work},
     record::{ErrorCode, JobError, JobState, PartRecord, Receipt, to_json},
 };
 use std::{collections::BTreeMap, sync::Arc};
@@ -30,6 +33,7 @@ struct Prepared {
     stored: Vec<u8>,
     offline: Offline,
     timeout_us: Option<u64>,
+    signature: Option<JobSignature>,
 }
 
 impl Fleet {
@@ -137,6 +141,7 @@ impl Fleet {
             check_script(view.facts().features)?;
         }
         view.check(&prepared.commands, false)?;
+        self.check_signature(node, &id, prepared)?;
         if view.is_stopped() {
             let message = format!("node {node} is stopped; release it first");
             return Err(JobError::new(ErrorCode::Stopped, message));
@@ -163,10 +168,27 @@ impl Fleet {
         record.version += self.version_of_rejected(&id);
         let mut entry = JobEntry::new(record, self.book.take_sequence());
         entry.timeout_us = prepared.timeout_us;
+        entry.signature.clone_from(&prepared.signature);
         let job = Job::new(entry, prepared.commands.clone()).with_script(prepared.script.clone());
         self.book
             .insert(job, Some(prepared.stored.clone()), effects);
         Ok(id)
+    }
+
+    fn check_signature(
+        &self,
+        node: NodeId,
+        id: &JobId,
+        prepared: &Prepared,
+    ) -> Result<(), JobError> {
+        let signers = &self.config.signers;
+        let Some(signature) = &prepared.signature else {
+            return demand_no_signature(signers);
+        };
+        let root = signing::root_of(&prepared.commands, prepared.script.as_deref())?;
+        let boot = self.nodes[&node].facts().queue.boot;
+        let statement = signing::statement(&node, id, signature.boot, signature.number, root);
+        signing::check(signers, &statement, signature, boot)
     }
 
     /// Gives the receipt, starts the job if its node is free, or refuses it.
@@ -287,6 +309,16 @@ impl Fleet {
     }
 }
 
+/// Refuses what is not signed, where signatures are asked for.
+pub(super) fn demand_no_signature(signers: &[[u8; 32]]) -> Result<(), JobError> {
+    if signers.is_empty() {
+        return Ok(());
+    }
+    let message = "an operator has to sign what is executed here (`fleet submit --sign`), and a \
+                   synchronized job cannot be signed yet";
+    Err(JobError::new(ErrorCode::NotAllowed, message))
+}
+
 /// Turns a checked request into commands, and into what is stored.
 fn prepare(request: &JobRequest) -> Prepared {
     Prepared {
@@ -295,6 +327,7 @@ fn prepare(request: &JobRequest) -> Prepared {
         script: script_of(&request.work),
         stored: stored_request(request),
         offline: request.offline,
+        signature: request.signature.clone(),
         // Far beyond any job, and far from the end of the numbers.
         timeout_us: request
             .timeout_s
@@ -303,7 +336,7 @@ fn prepare(request: &JobRequest) -> Prepared {
 }
 
 /// Returns the commands of a job in their order. A script has none before it runs.
-pub(super) fn commands_of(request: &JobRequest) -> Arc<[Command]> {
+pub fn commands_of(request: &JobRequest) -> Arc<[Command]> {
     match &request.work {
         // Meeting points have numbers in synchronized jobs only; any other job with one is refused.
         Work::Commands(commands) => commands

@@ -2,26 +2,48 @@
 //! leaves as one write and, behind it, one message.
 //!
 //! Promises: what is published was persisted before; a job that is not final has its request in
-//! the store, and the request goes only after the final record is written; at most
-//! [`Book::retention_jobs`] final jobs are kept, the ones that ended first go first.
+//! the store, and the request goes only after the final record is written; final jobs are kept as
+//! [`Retention`] says, the ones that ended first go first.
 //!
 //! Absent on purpose: which job runs where. That is the node's view.
 
 use super::{Change, Job, JobEntry};
 use crate::fleet::event::{Effect, Lane, Table, Write};
-use keys::{FleetMicros, JobId, Keys, NodeId, record::to_json};
+use keys::{
+    FleetMicros, JobId, Keys, NodeId,
+    record::{JobState, to_json},
+};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// Final jobs that are kept whatever their age, so that a clock which was wrong at a start cannot
+/// empty the history.
+pub const KEPT_JOBS_MIN: usize = 1_000;
+
+/// Which share of the kept jobs may be refused ones before these go first: a client that asks for
+/// nonsense must not push out what was done.
+const REJECTED_SHARE: usize = 10;
+
+/// How long final jobs are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Retention {
+    /// Most of them.
+    pub jobs: usize,
+    /// Longest time since a job's end, µs; the newest [`KEPT_JOBS_MIN`] may be older.
+    pub age_us: u64,
+}
 
 /// The jobs.
 #[derive(Debug)]
 pub struct Book {
     keys: Keys,
-    retention_jobs: usize,
+    retention: Retention,
     jobs: HashMap<JobId, Job>,
     /// By sequence: the order in which they were accepted.
     history: BTreeMap<u64, JobId>,
     /// Final ones by the time of their end.
     finals: BTreeSet<(FleetMicros, u64)>,
+    /// Those of them that were refused.
+    rejected: BTreeSet<(FleetMicros, u64)>,
     next_sequence: u64,
     held_commands: usize,
     /// Synchronized jobs of which a part has changed since somebody looked.
@@ -30,22 +52,18 @@ pub struct Book {
 
 impl Book {
     /// Begins an empty book.
-    pub fn new(keys: Keys, retention_jobs: usize) -> Self {
+    pub fn new(keys: Keys, retention: Retention) -> Self {
         Self {
             keys,
-            retention_jobs,
+            retention,
             jobs: HashMap::new(),
             history: BTreeMap::new(),
             finals: BTreeSet::new(),
+            rejected: BTreeSet::new(),
             next_sequence: 1,
             held_commands: 0,
             touched: BTreeSet::new(),
         }
-    }
-
-    /// Returns how many final jobs are kept.
-    pub fn retention_jobs(&self) -> usize {
-        self.retention_jobs
     }
 
     /// Returns the job of this name.
@@ -92,12 +110,13 @@ impl Book {
     /// Takes a new job, instead of a rejected one of the same name if there is one. `request` is
     /// what a job that is not final needs to be resumed.
     pub fn insert(&mut self, job: Job, request: Option<Vec<u8>>, effects: &mut Vec<Effect>) {
-        let id = job.id();
+        let (id, now) = (job.id(), job.entry.record.updated);
         if let Some(old) = self.jobs.remove(&id) {
             assert!(old.state().is_final(), "job {id} exists and is not final");
             self.history.remove(&old.entry.sequence);
-            self.finals
-                .remove(&(old.entry.record.updated, old.entry.sequence));
+            let place = (old.entry.record.updated, old.entry.sequence);
+            self.finals.remove(&place);
+            self.rejected.remove(&place);
         }
         // The request first: a request without a job is dropped at the next start, a job without
         // its request could not be resumed.
@@ -110,7 +129,7 @@ impl Book {
         }
         self.index(job);
         self.tell(&id, effects);
-        self.prune(effects);
+        self.prune(now, effects);
     }
 
     /// Changes what a node does for a job, writes the record that follows and tells it.
@@ -181,7 +200,7 @@ impl Book {
                 table: Table::Requests,
                 key: id.to_string(),
             }));
-            self.prune(effects);
+            self.prune(now, effects);
         }
     }
 
@@ -255,12 +274,12 @@ impl Book {
         }
     }
 
-    /// Removes the final jobs that ended first until no more than the retention are left.
-    pub fn prune(&mut self, effects: &mut Vec<Effect>) {
-        while self.finals.len() > self.retention_jobs {
-            let Some((_, sequence)) = self.finals.pop_first() else {
-                return;
-            };
+    /// Removes the final jobs that ended first until no more are left than are kept.
+    pub fn prune(&mut self, now: FleetMicros, effects: &mut Vec<Effect>) {
+        while let Some(place) = self.next_to_go(now) {
+            let (_, sequence) = place;
+            self.finals.remove(&place);
+            self.rejected.remove(&place);
             let Some(id) = self.history.remove(&sequence) else {
                 continue;
             };
@@ -272,10 +291,27 @@ impl Book {
         }
     }
 
+    fn next_to_go(&self, now: FleetMicros) -> Option<(FleetMicros, u64)> {
+        let Retention { jobs, age_us } = self.retention;
+        let oldest = *self.finals.first()?;
+        let count = self.finals.len();
+        if count > jobs {
+            let refused = self.rejected.first();
+            let many = self.rejected.len() > jobs / REJECTED_SHARE;
+            return refused.filter(|_| many).or(Some(&oldest)).copied();
+        }
+        let is_old = count > KEPT_JOBS_MIN && now.since_us(oldest.0) > age_us;
+        is_old.then_some(oldest)
+    }
+
     fn index(&mut self, job: Job) {
         let (id, sequence) = (job.id(), job.entry.sequence);
         if job.state().is_final() {
-            self.finals.insert((job.entry.record.updated, sequence));
+            let place = (job.entry.record.updated, sequence);
+            self.finals.insert(place);
+            if job.state() == JobState::Rejected {
+                self.rejected.insert(place);
+            }
         }
         let parts = job.parts.values().map(|part| part.commands.len());
         self.held_commands += job.commands.len() + parts.sum::<usize>();

@@ -28,6 +28,7 @@ pub mod parse;
 use group::{GroupEntry, Passed};
 use keys::{
     Command, FleetMicros, JobId, NodeId, QueueId,
+    job::JobSignature,
     record::{JobError, JobRecord, JobResult, JobState, Progress},
 };
 use serde::{Deserialize, Serialize};
@@ -86,6 +87,9 @@ pub struct JobEntry {
     /// How its script has ended, once the node has said so.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub script_end: Option<ScriptEnd>,
+    /// The operator's signature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signature: Option<JobSignature>,
 }
 
 /// A script has returned; the commands that it queued may still be executed.
@@ -108,6 +112,7 @@ impl JobEntry {
             timeout_us: None,
             group: None,
             script_end: None,
+            signature: None,
         }
     }
 }
@@ -264,6 +269,7 @@ impl Job {
             record.result = change.result;
             self.commands = Arc::new([]);
             self.script = None;
+            self.entry.signature = None;
             self.entry.ending = None;
             self.entry.script_end = None;
         }

@@ -93,6 +93,7 @@ pub fn parse(encoding: &str, payload: &[u8]) -> Parsed {
                     work: Work::Lua(script.to_owned()),
                     offline: Offline::default(),
                     timeout_s: None,
+                    signature: None,
                 }),
                 id_hint: None,
             },

@@ -2,7 +2,7 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, backups | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
 //! | node | its own status, ack, clock, start, pace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
@@ -12,6 +12,7 @@
 //! sent (it answers a challenge) but what it says can be read.
 
 use super::users::{Role, User};
+use crate::bus::backup::BACKUP;
 use keys::{Keys, NodeId, NodeTopic};
 use serde_json::{Value, json};
 
@@ -110,6 +111,9 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
         &["put", "delete", "query"],
         work.clone(),
     );
+    let store = vec![format!("{prefix}/{BACKUP}")];
+    rules.add("save", &["ingress"], &["query"], store.clone());
+    rules.add("saved", &["egress"], &["reply"], store);
     rules.add("receipts", &["egress"], &["reply"], work);
 
     let looks = ["follow", "ask", "alive", "read", "answers", "stop"];
@@ -139,7 +143,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
                 );
                 policy(
                     "operators",
-                    [owned(&looks), owned(&["work", "receipts"])].concat(),
+                    [owned(&looks), owned(&["work", "receipts", "save", "saved"])].concat(),
                 );
             }
             Role::Viewer => {

@@ -2,9 +2,14 @@
 
 use super::{
     access, certificates,
+    signing::Signer,
     users::{self, GATEWAY, Role, User},
 };
-use keys::{Keys, NodeId, credentials::Credentials};
+use keys::{
+    Keys, NodeId,
+    credentials::Credentials,
+    signers::{self, SignerKey},
+};
 use serde_json::Value;
 use std::{
     fs,
@@ -25,6 +30,7 @@ const ROUTER: &str = "router.pem";
 const ROUTER_KEY: &str = "router.key";
 const USERS: &str = "users";
 const HOSTS: &str = "hosts";
+const SIGNERS: &str = "signers";
 /// The users as the router reads them, written at every start.
 const DICTIONARY: &str = "router-users";
 
@@ -255,6 +261,57 @@ impl Home {
             ("transport/link/tls/listen_private_key", path(ROUTER_KEY)),
             ("access_control", access::access_control(keys, &self.users)),
         ])
+    }
+
+    /// Returns whose signature counts; nobody: jobs need none.
+    ///
+    /// # Errors
+    /// See [`HomeError`]: the list is wrong.
+    pub fn signers(&self) -> Result<Vec<SignerKey>, HomeError> {
+        let path = self.folder.join(SIGNERS);
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        signers::parse(&read(&path)?).map_err(|why| HomeError::Users { path, why })
+    }
+
+    /// Makes a signing key. Returns the file with the private half, to be handed to its owner.
+    ///
+    /// # Errors
+    /// See [`HomeError`]: the name is taken, or nothing can be written.
+    pub fn add_signer(&mut self, name: NodeId) -> Result<PathBuf, HomeError> {
+        let mut signers = self.signers()?;
+        if signers.iter().any(|signer| signer.name == name) {
+            return Err(HomeError::User(format!("there is a key of {name} already")));
+        }
+        let signer = Signer::new()?;
+        let path = self.folder.join(format!("{name}.key"));
+        write(&path, &signer.secret(), true)?;
+        let key = signer.public();
+        signers.push(SignerKey { name, key });
+        write(&self.folder.join(SIGNERS), &signers::print(&signers), false)?;
+        Ok(path)
+    }
+
+    /// Takes a signing key away, and the file with its private half if it is still there.
+    ///
+    /// # Errors
+    /// See [`HomeError`]: there is no such key, or nothing can be written.
+    pub fn revoke_signer(&mut self, name: &NodeId) -> Result<(), HomeError> {
+        let mut signers = self.signers()?;
+        let before = signers.len();
+        signers.retain(|signer| signer.name != *name);
+        if signers.len() == before {
+            return Err(HomeError::User(format!("there is no key of {name}")));
+        }
+        write(&self.folder.join(SIGNERS), &signers::print(&signers), false)?;
+        let path = self.folder.join(format!("{name}.key"));
+        match fs::remove_file(&path) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                Err(HomeError::File { path, source })
+            }
+            _ => Ok(()),
+        }
     }
 
     fn save(&mut self) -> Result<(), HomeError> {

@@ -3,7 +3,10 @@
 //! Owns the place in an error (`nodes.left.commands[3].move.delay_us`), and how the call of a stored
 //! script becomes Lua.
 
-use super::{GroupRequest, JOB_BYTES_MAX, JobCommand, JobRequest, Offline, Work, command::object};
+use super::{
+    GroupRequest, JOB_BYTES_MAX, JobCommand, JobRequest, JobSignature, Offline, Work,
+    command::object,
+};
 use crate::{
     JobId, NodeId,
     record::{ErrorCode, JobError},
@@ -35,6 +38,8 @@ struct RawJob {
     offline: Option<Offline>,
     #[serde(default)]
     timeout_s: Option<f64>,
+    #[serde(default)]
+    signature: Option<JobSignature>,
 }
 
 /// The JSON object of a synchronized job, before it is known to be legal.
@@ -129,6 +134,7 @@ impl JobRequest {
             work,
             offline: raw.offline.unwrap_or_default(),
             timeout_s: raw.timeout_s,
+            signature: raw.signature,
         };
         request.check()?;
         Ok(request)

@@ -71,6 +71,9 @@ pub struct EmulatorConfig {
     pub boot_script: bool,
     /// Folder of its stored scripts; in memory by default. Wall clock only.
     pub scripts: Option<PathBuf>,
+    /// Public keys of operators: the node executes only what one of them has signed. None by
+    /// default: whatever its gateway sends.
+    pub signers: node::signed::Keys,
     /// Router to connect to, `tcp/HOST:PORT`; on this machine by default. Wall clock only.
     pub connect: String,
     /// What the node's clock shows when it boots, µs; 0 by default. Wall clock only.
@@ -103,6 +106,7 @@ impl EmulatorConfig {
             script: script::Limits::default(),
             boot_script: false,
             scripts: None,
+            signers: node::signed::Keys::new(),
             connect: "tcp/127.0.0.1:7447".to_owned(),
             clock_offset_us: 0,
             clock_drift_ppb: 0,

@@ -18,6 +18,7 @@ use crate::{
 use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
     command::COMMAND_WORDS,
+    signed::Proof,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
 use motion::{
@@ -561,7 +562,9 @@ impl EmulatedNode {
         if self.cut || self.node.motion().accepted_commands() == accepted_before {
             return;
         }
-        let Ok(mut reader) = BatchReader::new(payload) else {
+        // What signs it is not for the judge of pulses.
+        let Ok(mut reader) = Proof::split(payload).and_then(|(_, order)| BatchReader::new(order))
+        else {
             return;
         };
         let Order::Batch(header) = *reader.order() else {
@@ -779,6 +782,7 @@ fn boot_node(
         firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
             BootLoader::boot(flash).version(flash)
         }),
+        signers: config.signers.clone(),
         ..NodeConfig::new(config.name, boot)
     };
     let node = Node::new(

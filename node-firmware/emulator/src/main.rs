@@ -105,6 +105,11 @@ struct Args {
     #[arg(long, requires = "password_file")]
     user: Option<String>,
 
+    /// File with the public keys of operators (DIR/signers of a secured fleet): the nodes execute
+    /// only what one of them has signed.
+    #[arg(long, value_name = "FILE")]
+    signers: Option<PathBuf>,
+
     /// File with the user's password; a newline at its end does not count.
     #[arg(long, value_name = "FILE", requires = "user")]
     password_file: Option<PathBuf>,
@@ -145,6 +150,10 @@ impl Args {
             self.clock_drift_ppm.is_finite() && self.clock_drift_ppm.abs() <= 1_000.0,
             "--clock-drift-ppm lies between -1000 and 1000"
         );
+        let signers = match &self.signers {
+            Some(file) => read_signers(file)?,
+            None => node::signed::Keys::new(),
+        };
         let credentials = match (&self.user, &self.password_file) {
             (Some(user), Some(file)) => Some(credentials(user, file)?),
             _ => None,
@@ -181,6 +190,7 @@ impl Args {
                     credentials: credentials.clone(),
                     scripts: self.scripts.as_ref().map(|folder| folder.join(&name)),
                     boot_script: self.boot_script,
+                    signers: signers.clone(),
                     ..EmulatorConfig::new(id)
                 };
                 config.machine.bounce_us_max = self.bounce_us;
@@ -198,6 +208,23 @@ impl Args {
             })
             .collect()
     }
+}
+
+fn read_signers(file: &Path) -> Result<node::signed::Keys> {
+    let name = file.display();
+    let text = std::fs::read_to_string(file).with_context(|| format!("--signers {name}"))?;
+    let list = keys::signers::parse(&text);
+    let list = list.map_err(|error| anyhow::anyhow!("--signers {name}: {error}"))?;
+    ensure!(!list.is_empty(), "--signers {name}: there is no key in it");
+    let mut signers = node::signed::Keys::new();
+    for signer in list {
+        ensure!(
+            signers.push(signer.key.0).is_ok(),
+            "--signers {name}: more than {} keys",
+            node::signed::KEYS_MAX
+        );
+    }
+    Ok(signers)
 }
 
 fn credentials(user: &str, password_file: &Path) -> Result<Credentials> {

@@ -15,11 +15,12 @@
 //! checked (`Malformed`, `BadCommand`, `OutOfReach`), then `QueueShort`, and only then the first one is written
 //! to the ring. So a refused batch leaves no trace in it.
 
-use crate::{Node, Outputs, limits::CREDIT_SHARE, stop::Phase, trace::Event};
+use crate::{Node, Outputs, limits::CREDIT_SHARE, signed::Ends, stop::Phase, trace::Event};
 use keys::{
     BatchAck, BatchHeader, BatchReader, JobId, LocalMicros, Order, QueueId, Refusal, StopMode,
     StopReason, Verdict,
     batch::{BATCH_COMMANDS_MAX, ORDER_BYTES_MAX},
+    signed::Proof,
 };
 use motion::StepBackend;
 
@@ -44,6 +45,10 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     }
 
     fn order(&mut self, payload: &[u8], now: LocalMicros) -> Verdict {
+        let Ok((proof, payload)) = Proof::split(payload) else {
+            return Verdict::Refused(Refusal::Malformed);
+        };
+        let proof = proof.as_ref();
         if payload.len() > ORDER_BYTES_MAX {
             return Verdict::Refused(Refusal::Malformed);
         }
@@ -52,12 +57,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         };
         match *reader.order() {
             Order::Batch(header) => self
-                .batch(header, reader, now)
+                .batch(header, reader, proof, now)
                 .unwrap_or_else(Verdict::Refused),
             Order::Cancel { queue, mode } => self.cancel(queue, mode, now),
             Order::Release { queue } => self.release(queue, now),
             Order::Script(header) => self
-                .take_script(header, reader.rest(), now)
+                .take_script(header, reader.rest(), proof, now)
                 .unwrap_or_else(Verdict::Refused),
             Order::ScriptSeen {
                 queue,
@@ -70,6 +75,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         &mut self,
         header: BatchHeader,
         reader: BatchReader<'_>,
+        proof: Option<&Proof>,
         now: LocalMicros,
     ) -> Result<Verdict, Refusal> {
         let count = usize::from(header.command_count);
@@ -94,6 +100,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             return Err(Refusal::ScriptRuns);
         }
         let mut check = reader.clone();
+        let bytes = reader.rest();
+        let mut ends = Ends::new();
         let mut outlook = self.motion.outlook();
         for index in 0..header.command_count {
             let command = check
@@ -101,6 +109,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 .ok()
                 .flatten()
                 .ok_or(Refusal::Malformed)?;
+            // Both fit: a batch has at most so many commands and so many bytes.
+            let _ = ends.push((bytes.len() - check.rest().len()) as u16);
             self.motion
                 .check(&command)
                 .map_err(|_| Refusal::BadCommand { index })?;
@@ -116,6 +126,10 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         if check.next_command().is_err() {
             return Err(Refusal::Malformed);
         }
+        let (signers, name) = (&self.config.signers, &self.config.name);
+        let signed = self
+            .signed
+            .check_commands(signers, name, proof, &header, bytes, &ends)?;
 
         let mut reader = reader;
         let mut reservation = self
@@ -126,6 +140,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             reservation.push(&command);
         }
         reservation.commit();
+        self.signed.advance(&self.config.signers, signed);
         self.motion.expect_more(header.job_end);
         let job = CurrentJob {
             id: header.job,

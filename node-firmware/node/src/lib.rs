@@ -26,6 +26,7 @@ pub mod library;
 pub mod limits;
 pub mod outbox;
 pub mod run;
+pub mod signed;
 pub mod trace;
 
 mod clock;
@@ -46,6 +47,7 @@ use crate::{
     outbox::Outbox,
     pace::Pace,
     script::{Barriers, Publication, Slot},
+    signed::Verifier,
     start::{Start, Told},
     stop::Phase,
     trace::{Event, Trace},
@@ -99,6 +101,9 @@ pub struct NodeConfig {
     pub script: Limits,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
+    /// Public keys of operators: the node executes only what one of them has signed. None:
+    /// whatever its gateway sends.
+    pub signers: signed::Keys,
 }
 
 impl NodeConfig {
@@ -114,6 +119,7 @@ impl NodeConfig {
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
             script: Limits::default(),
             boot_script: false,
+            signers: signed::Keys::new(),
         }
     }
 }
@@ -223,6 +229,7 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     report_due: bool,
     publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
     stored: Library,
+    signed: Verifier,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     trace: Trace,
@@ -282,6 +289,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             report_due: false,
             publications: heapless::Deque::new(),
             stored: Library::default(),
+            signed: Verifier::default(),
             rssi_dbm: None,
             outbox: Outbox::new(),
             trace: Trace::new(),
@@ -530,6 +538,14 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// says so.
     pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
         let now = self.advance_to(now);
+        if !self.config.signers.is_empty() {
+            // It would be called by a signed job without being signed itself.
+            self.log(
+                now,
+                format_args!("script {name} not taken: it is not signed"),
+            );
+            return;
+        }
         let (result, word) = match text {
             Some(text) => (self.stored.put(name, text), "stored"),
             None => (self.stored.remove(name), "removed"),

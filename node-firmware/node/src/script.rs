@@ -26,7 +26,8 @@ use alloc::{
 };
 use keys::{
     AxisId, Command, JobId, LocalMicros, NodeState, QueueId, Refusal, ScriptHeader, ScriptOutcome,
-    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, start::BarrierName,
+    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, signed::Proof,
+    start::BarrierName,
 };
 use motion::{CommandError, StepBackend};
 use script::{BarrierError, End, Full, Host, LidarReading, Script, Step, Wait};
@@ -93,6 +94,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         &mut self,
         header: ScriptHeader,
         part: &[u8],
+        proof: Option<&Proof>,
         now: LocalMicros,
     ) -> Result<Verdict, Refusal> {
         let total = header.total_bytes as usize;
@@ -136,7 +138,13 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             text.extend_from_slice(news);
         }
         if text.len() >= total {
+            let (signers, name) = (&self.config.signers, &self.config.name);
+            let checked =
+                self.signed
+                    .check_script(signers, name, proof, header.queue, &header.job, text);
+            let signed = checked.inspect_err(|_| self.script = Slot::None)?;
             self.begin_script(now)?;
+            self.signed.advance(&self.config.signers, signed);
         }
         Ok(Verdict::Accepted)
     }

@@ -110,6 +110,21 @@ Examples:
   fleet --credentials /etc/fleet/operator.json nodes")]
     Init(Init),
 
+    /// Copy the store of a running gateway into a file; it goes on meanwhile.
+    #[command(after_help = "\
+Examples:
+  fleet backup monday.redb
+  fleet --credentials /etc/fleet/operator.json backup monday.redb
+  fleet backup monday.redb --store /var/lib/fleet.redb    # of a gateway that does not run
+To go back: end the gateway, put the backup in the place of its store, start it.")]
+    Backup(Backup),
+
+    /// Tell what is in a store or a backup, and what is wrong with it; changes nothing.
+    #[command(
+        after_help = "Examples:\n  fleet doctor /var/lib/fleet.redb\n  fleet doctor monday.redb"
+    )]
+    Doctor(Doctor),
+
     /// Add, revoke and list the users of a secured fleet.
     #[command(after_help = "\
 Examples:
@@ -118,6 +133,15 @@ Examples:
   fleet users /etc/fleet revoke alice
   fleet users /etc/fleet list")]
     Users(Users),
+
+    /// Make, list and revoke the keys with which operators sign jobs; while there is one, only
+    /// signed jobs are executed.
+    #[command(after_help = "\
+Examples:
+  fleet keys /etc/fleet new alice       # alice.key for her; /etc/fleet/signers for every node
+  fleet submit job.json --node left --sign alice.key
+  fleet keys /etc/fleet revoke alice")]
+    Keys(Keys),
 
     /// List the nodes.
     #[command(after_help = "Examples:\n  fleet nodes\n  fleet nodes --json | jq -r .node")]
@@ -290,6 +314,24 @@ pub(crate) struct Config {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Backup {
+    /// Where to; a file that exists is left alone.
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+
+    /// Copy this store, which no gateway has, instead of asking a gateway for its own.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) store: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Doctor {
+    /// The store of a gateway that does not run, or a backup.
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Init {
     /// Where; made if it is not there, and readable by you only.
     #[arg(value_name = "DIR")]
@@ -339,6 +381,35 @@ pub(crate) enum UsersAct {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Keys {
+    /// Folder of the fleet.
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+
+    #[command(subcommand)]
+    pub(crate) act: KeysAct,
+}
+
+/// What to do with signing keys. All of it counts from the next start of gateway and nodes.
+#[derive(Debug, Subcommand)]
+pub(crate) enum KeysAct {
+    /// Make one, and write the private half to hand out to DIR/NAME.key.
+    New {
+        /// Whose.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+    },
+    /// Take one away.
+    Revoke {
+        /// Whose.
+        #[arg(value_parser = node_id)]
+        name: NodeId,
+    },
+    /// List the public halves.
+    List,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Submit {
     /// The job; `-`: standard input.
     #[arg(value_name = "FILE|-")]
@@ -355,6 +426,10 @@ pub(crate) struct Submit {
     /// Name of the job; makes it idempotent. Replaces the one in the file.
     #[arg(long, value_parser = job_id)]
     pub(crate) id: Option<JobId>,
+
+    /// Sign the job with this key, for this start of the node; for one node that is there.
+    #[arg(long, value_name = "FILE", conflicts_with = "group")]
+    pub(crate) sign: Option<PathBuf>,
 
     /// What the file is [default: by its extension; else JSON if it begins with `{`, Lua if not].
     #[arg(long, value_enum)]

@@ -1,7 +1,6 @@
 //! An ordinary zenoh client: the command line speaks to the fleet as anybody else would.
 
 use crate::args::{CONNECT_DEFAULT, Common};
-use base64::Engine as _;
 use gateway::security::home::read_secret;
 use keys::{
     Keys, NodeId, Topic,
@@ -76,6 +75,9 @@ impl From<std::io::Error> for Failure {
         Self::Failed(Some(error.to_string()))
     }
 }
+
+/// Longest time for something large: a store of gigabytes by a slow link.
+const POUR_MAX: Duration = Duration::from_secs(6 * 3_600);
 
 /// One answer to a get.
 pub(crate) type Answer = Result<Vec<u8>, JobError>;
@@ -160,14 +162,8 @@ impl Link {
         set("connect/endpoints", format!("[{}]", text(connect)))?;
         set("scouting/multicast/enabled", "false".to_owned())?;
         if let Some(credentials) = credentials {
-            set("transport/auth/usrpwd/user", text(&credentials.user))?;
-            set(
-                "transport/auth/usrpwd/password",
-                text(&credentials.password),
-            )?;
-            if let Some(ca) = &credentials.ca {
-                let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-                set("transport/link/tls/root_ca_certificate_base64", text(&ca))?;
+            for (key, value) in credentials.zenoh_settings() {
+                set(key, value)?;
             }
         }
         let no_connection = |why: &str| {
@@ -274,6 +270,41 @@ impl Link {
             }
         }
         Ok(answers)
+    }
+
+    /// Asks for something large and gives each reply to `take` as it comes, behind everything else.
+    pub(crate) async fn pour(
+        &self,
+        selector: &str,
+        mut take: impl FnMut(&[u8]) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let replies = self
+            .session
+            .get(selector)
+            .consolidation(ConsolidationMode::None)
+            .priority(Priority::Background)
+            .timeout(POUR_MAX)
+            .await?;
+        loop {
+            let silence = || {
+                let seconds = self.timeout.as_secs_f64();
+                Failure::TimedOut(format!("the gateway said nothing for {seconds} s"))
+            };
+            let next = tokio::time::timeout(self.timeout, replies.recv_async()).await;
+            let Ok(reply) = next.map_err(|_| silence())? else {
+                return Ok(());
+            };
+            match reply.result() {
+                Ok(sample) => take(&sample.payload().to_bytes())?,
+                Err(error) => {
+                    let read = serde_json::from_slice::<ErrorReply>(&error.payload().to_bytes());
+                    return Err(match read {
+                        Ok(reply) => Failure::Failed(Some(reply.error.to_string())),
+                        Err(_) => silence(),
+                    });
+                }
+            }
+        }
     }
 
     /// Puts bytes on a key so that they overtake everything.

@@ -4,6 +4,7 @@
 //! all of them share (`serve` alone is the gateway itself), `show.rs` prints.
 
 mod args;
+mod backup;
 #[cfg(feature = "demo")]
 mod demo;
 mod follow;
@@ -13,6 +14,7 @@ mod provision;
 mod secure;
 mod serve;
 mod show;
+mod sign;
 mod stop;
 mod submit;
 mod update;
@@ -55,6 +57,11 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Config(config) => return serve::print_config(config),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
+        Verb::Keys(keys) => return secure::keys(keys, common.json),
+        Verb::Doctor(doctor) => return backup::doctor(doctor, common.json),
+        Verb::Backup(line) if line.store.is_some() => {
+            return backup::backup(None, line, common.json).await;
+        }
         Verb::Provision(line) => return provision::provision(common, line).await,
         Verb::UpdateKey(line) => return update::make_key(line, common),
         #[cfg(feature = "demo")]
@@ -84,11 +91,14 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             pace::pace(&link, &speed.pattern, "speed", percent, json).await
         }
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
+        Verb::Backup(line) => backup::backup(Some(&link), line, json).await,
         Verb::Update(line) => update::update(&link, line, json).await,
         Verb::Serve(_)
         | Verb::Config(_)
         | Verb::Init(_)
         | Verb::Users(_)
+        | Verb::Keys(_)
+        | Verb::Doctor(_)
         | Verb::Provision(_)
         | Verb::UpdateKey(_) => unreachable!("done above"),
         #[cfg(feature = "demo")]

@@ -1,7 +1,7 @@
 //! `fleet init` and `fleet users`: who may connect to a secured fleet.
 
 use crate::{
-    args::{Init, Users, UsersAct},
+    args::{Init, Keys, KeysAct, Users, UsersAct},
     link::Failure,
     show,
 };
@@ -83,6 +83,54 @@ pub(crate) fn users(users: &Users, json: bool) -> Result<(), Failure> {
                     show::line(&told.to_string());
                 } else {
                     show::line(&format!("{:<32} {}", user.name.as_str(), user.role));
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+/// `fleet keys`
+pub(crate) fn keys(keys: &Keys, json: bool) -> Result<(), Failure> {
+    let mut home = Home::open(&keys.folder)?;
+    let signers = keys.folder.join("signers");
+    match &keys.act {
+        KeysAct::New { name } => {
+            let file = home.add_signer(*name)?;
+            if json {
+                let made = serde_json::json!({"signer": name, "key": file, "signers": signers});
+                show::line(&made.to_string());
+                return Ok(());
+            }
+            show::line(&format!(
+                "hand {} to {name} and to nobody else",
+                file.display()
+            ));
+            show::line(&format!(
+                "  from their next start the gateway takes signed jobs only, and so does each node that has {}",
+                signers.display()
+            ));
+            Ok(())
+        }
+        KeysAct::Revoke { name } => {
+            home.revoke_signer(name)?;
+            if json {
+                show::line(&serde_json::json!({"revoked": name}).to_string());
+            } else {
+                show::line(&format!(
+                    "the signature of {name} does not count from the gateway's next start; give {} to each node",
+                    signers.display()
+                ));
+            }
+            Ok(())
+        }
+        KeysAct::List => {
+            for signer in home.signers()? {
+                if json {
+                    let told = serde_json::json!({"signer": signer.name, "key": signer.key});
+                    show::line(&told.to_string());
+                } else {
+                    show::line(&format!("{:<32} {}", signer.name.as_str(), signer.key));
                 }
             }
             Ok(())

@@ -5,6 +5,7 @@ use crate::{
     follow::Follower,
     link::{Answer, Failure, Link, read},
     show,
+    sign::sign,
 };
 use keys::{
     JobId,
@@ -15,7 +16,17 @@ use zenoh::bytes::Encoding;
 
 /// `fleet submit`
 pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(), Failure> {
-    let (payload, encoding) = read_job(submit)?;
+    let (mut payload, mut encoding) = read_job(submit)?;
+    if let (Some(key), Some(node)) = (&submit.sign, &submit.node) {
+        if encoding != Encoding::APPLICATION_JSON {
+            let script = String::from_utf8_lossy(&payload);
+            payload = serde_json::json!({ "lua": script })
+                .to_string()
+                .into_bytes();
+            encoding = Encoding::APPLICATION_JSON;
+        }
+        payload = sign(link, key, node, &payload).await?;
+    }
     let follower = match submit.wait {
         Some(_) => Some(Follower::new(link, !json).await?),
         None => None,

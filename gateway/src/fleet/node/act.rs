@@ -10,6 +10,7 @@ use crate::{
         submit::check_script,
     },
     job::{Activation, Change, Ending, Job, book::Book},
+    security::signing::Signed,
 };
 use keys::{
     FleetMicros, NodeTopic, Order, Stop, StopMode,
@@ -222,7 +223,8 @@ impl Node {
             let window_batches = turn.config.window_batches;
             let (queue, base) = (activation.queue, activation.base);
             let route = Route::new(id, queue, base, end, window_batches, self.round_trip);
-            self.route = Some(route.with_script(script));
+            let signed = turn.book.part(&id, self.id).and_then(Signed::of);
+            self.route = Some(route.with_script(script).with_signature(signed));
             return;
         }
     }

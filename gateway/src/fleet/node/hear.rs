@@ -8,6 +8,7 @@ use crate::{
         route::{Route, Setback},
     },
     job::{Activation, Change, Ending, Job, ScriptEnd, group::Passed},
+    security::signing::Signed,
 };
 use keys::{
     BatchAck, FleetMicros, NodeState, Order, QueueId, Refusal, ScriptOutcome, ScriptReport, Status,
@@ -271,7 +272,8 @@ impl Node {
                 self.round_trip,
             );
             route.handle_accepted(self.accepted, turn.now);
-            self.route = Some(route.with_script(script));
+            let signed = turn.book.part(&id, self.id).and_then(Signed::of);
+            self.route = Some(route.with_script(script).with_signature(signed));
         }
     }
 
@@ -363,6 +365,12 @@ impl Node {
                     None => "the node does not take the barrier of the start".to_owned(),
                 };
                 let error = JobError::new(ErrorCode::BadCommand, message);
+                self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
+            }
+            Setback::NotSigned => {
+                let message = "the node executes only what an operator whom it knows has signed, \
+                               and each job once; this one it does not";
+                let error = JobError::new(ErrorCode::NotAllowed, message);
                 self.end_active(Ending::Fail(error), StopMode::Decelerate, turn);
             }
             Setback::Malformed => {
