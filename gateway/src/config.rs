@@ -1,6 +1,6 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use crate::fleet::FleetConfig;
+use crate::{fleet::FleetConfig, job::gcode::Machines};
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -58,6 +58,8 @@ pub struct GatewayConfig {
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
+    /// The machines of nodes that take G-code. None by default.
+    pub machines: Machines,
 }
 
 impl GatewayConfig {
@@ -74,6 +76,7 @@ impl GatewayConfig {
             fleet: FleetConfig::default(),
             http: None,
             scouting: false,
+            machines: Machines::new(),
         }
     }
 

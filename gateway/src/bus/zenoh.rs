@@ -237,6 +237,7 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Job)),
             (&self.main, Door::GroupJob),
             (&self.main, Door::JobCancel),
+            (&self.main, Door::LabelJob),
             (&self.main, Door::Node(NodeTopic::Status)),
             (&self.main, Door::Node(NodeTopic::Ack)),
             (&self.main, Door::Node(NodeTopic::Report)),
@@ -263,6 +264,9 @@ impl Bus {
             (&self.swift, Door::Node(NodeTopic::Release)),
             (&self.main, Door::Node(NodeTopic::State)),
             (&self.main, Door::Job),
+            (&self.main, Door::LabelJob),
+            (&self.main, Door::ManageNode),
+            (&self.main, Door::ManageJob),
         ] {
             let ear = ear(door);
             let queryable = session

@@ -21,6 +21,7 @@ pub mod clock;
 pub mod event;
 mod group;
 mod history;
+pub mod manage;
 pub mod node;
 pub mod pattern;
 mod restore;
@@ -124,6 +125,8 @@ pub struct Fleet {
     last_made_us: u64,
     random: u64,
     ignored_count: u64,
+    /// Of the job that is being handed in.
+    wishes: manage::JobWishes,
     /// No probe has left in this call.
     may_probe: bool,
 }
@@ -146,6 +149,7 @@ impl Fleet {
             last_made_us: 0,
             random: seed,
             ignored_count: 0,
+            wishes: manage::JobWishes::default(),
             may_probe: true,
         }
     }
@@ -170,6 +174,19 @@ impl Fleet {
                 id_hint,
                 reply,
             } => self.submit_group(&pattern, request, id_hint, reply, effects),
+            Event::SubmitWith { wishes, submit } => {
+                return self.submit_with(wishes, *submit, now, effects);
+            }
+            Event::ManageNodes {
+                pattern,
+                request,
+                reply,
+            } => self.manage_nodes(&pattern, request, reply, effects),
+            Event::ManageJob {
+                job,
+                request,
+                reply,
+            } => self.manage_job(&job, request, reply, effects),
             Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
             Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
             Event::Stop { pattern, mode } => {
@@ -350,6 +367,12 @@ impl Fleet {
                 .filter(|id| self.nodes.contains_key(id))
                 .into_iter()
                 .collect(),
+            Pattern::Label(label) => self
+                .nodes
+                .values()
+                .filter(|node| node.has_label(label))
+                .map(Node::id)
+                .collect(),
             pattern => self
                 .nodes
                 .keys()
@@ -370,6 +393,14 @@ impl Fleet {
             (Pattern::Name(name), _) => {
                 JobError::new(ErrorCode::NodeOffline, format!("node {name} is offline"))
             }
+            (Pattern::Label(label), []) => JobError::new(
+                ErrorCode::UnknownNode,
+                format!("no node has the label `{label}`"),
+            ),
+            (Pattern::Label(label), _) => JobError::new(
+                ErrorCode::NodeOffline,
+                format!("every node with the label `{label}` is offline"),
+            ),
             (_, []) => JobError::new(
                 ErrorCode::UnknownNode,
                 format!("no node that has been seen matches `{pattern}`"),
