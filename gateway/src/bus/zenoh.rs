@@ -414,12 +414,15 @@ async fn close(session: &Session) {
 fn reply_key(asked: &keyexpr, key: &str) -> Option<String> {
     let verb = asked.as_str().rsplit('/').next().unwrap_or_default();
     let parent = key.rsplit_once('/').map_or(key, |(parent, _)| parent);
+    // A label's nodes all answer on the one key of its jobs, which names none of them.
+    let of_label = asked.as_str().contains("/manage/label/");
     [
         key.to_owned(),
         format!("{key}/{verb}"),
         format!("{parent}/{verb}"),
     ]
     .into_iter()
+    .chain(of_label.then(|| asked.as_str().to_owned()))
     .find(|key| {
         keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key) && !key.contains('*'))
     })
