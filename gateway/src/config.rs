@@ -1,6 +1,6 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use crate::{bus::limits::ClientLimits, fleet::FleetConfig};
+use crate::{bus::limits::ClientLimits, fleet::FleetConfig, job::gcode::Machines};
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -60,6 +60,8 @@ pub struct GatewayConfig {
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
+    /// The machines of nodes that take G-code. None by default.
+    pub machines: Machines,
 }
 
 impl GatewayConfig {
@@ -77,6 +79,7 @@ impl GatewayConfig {
             limits: ClientLimits::default(),
             http: None,
             scouting: false,
+            machines: Machines::new(),
         }
     }
 

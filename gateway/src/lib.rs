@@ -22,3 +22,4 @@ pub mod observe;
 pub mod security;
 pub mod service;
 pub mod settings;
+pub mod spans;

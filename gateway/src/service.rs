@@ -25,16 +25,21 @@ use crate::{
     fleet::{
         Fleet, FleetConfig, RestoreError,
         event::{Effect, Event, Lane, ReplyTo},
+        manage::JobWishes,
     },
     http::{self, HttpError},
-    job::parse::{Parsed, parse, parse_group},
+    job::{
+        gcode::Machines,
+        parse::{Parsed, parse_for, parse_group},
+    },
     journal::{Journal, JournalError},
     observe::{self, Snapshot},
     security::Home,
+    spans::JobSpans,
 };
 use keys::{
-    FleetMicros,
-    record::{ErrorCode, JobError},
+    FleetMicros, JobId, Keys,
+    record::{ErrorCode, JobError, JobState},
 };
 use metrics::{counter, gauge, histogram};
 use std::{
@@ -102,9 +107,10 @@ pub struct Service {
     stop_fleet: watch::Sender<bool>,
     failed: watch::Receiver<bool>,
     observer: Observer,
+    machines: watch::Sender<Arc<Machines>>,
     reader: JoinHandle<()>,
     forwarder: JoinHandle<()>,
-    fleet: JoinHandle<()>,
+    fleet: JoinHandle<Remaining>,
     writer: std::thread::JoinHandle<Result<(), JournalError>>,
 }
 
@@ -115,9 +121,35 @@ pub struct Ready<'s> {
     pub locators: &'s [String],
     /// Where `/metrics` and `/healthz` are.
     pub http: Option<SocketAddr>,
+    /// What answers questions about the fleet.
+    pub observer: &'s Observer,
 }
 
-/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once.
+/// What is left undone when a service has ended. All of it is in the store.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Remaining {
+    /// Jobs that wait for their turn, their time or their node.
+    pub waiting: usize,
+    /// Jobs of which a node has commands: it goes on by itself until it misses its gateway.
+    pub on_nodes: usize,
+}
+
+impl Remaining {
+    fn of(fleet: &Fleet) -> Self {
+        let mut remaining = Self::default();
+        for job in fleet.jobs() {
+            match job.state() {
+                JobState::Queued => remaining.waiting += 1,
+                JobState::Sent | JobState::Running | JobState::Lost => remaining.on_nodes += 1,
+                _ => {}
+            }
+        }
+        remaining
+    }
+}
+
+/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once; machines that
+/// come by `reloads` are for the jobs that come after them.
 ///
 /// # Errors
 /// See [`ServiceError`].
@@ -128,7 +160,8 @@ pub async fn run(
     config: GatewayConfig,
     ready: impl FnOnce(Ready<'_>),
     shutdown: impl Future<Output = ()>,
-) -> Result<(), ServiceError> {
+    mut reloads: mpsc::Receiver<Machines>,
+) -> Result<Remaining, ServiceError> {
     // First of all: an address that is taken is told before anything has begun.
     let listener = match config.http {
         Some(address) => Some(http::listen(address).await?),
@@ -149,10 +182,18 @@ pub async fn run(
     ready(Ready {
         locators: service.locators(),
         http: address,
+        observer: &service.observer,
     });
+    let reload = async {
+        while let Some(machines) = reloads.recv().await {
+            service.set_machines(machines);
+        }
+        std::future::pending::<()>().await;
+    };
     tokio::select! {
         () = shutdown => {}
         () = service.failed() => {}
+        () = reload => {}
     }
     if let Some(serve) = serve {
         serve.abort();
@@ -212,17 +253,20 @@ impl Service {
             .name("gateway-writer".to_owned())
             .spawn(move || writer.run())
             .map_err(ServiceError::Thread)?;
-        let task = FleetTask {
+        let mut task = FleetTask {
             fleet,
             clock,
             bus: Arc::clone(&bus),
             batches,
             store_failed,
+            spans: JobSpans::default(),
+            keys: config.keys.clone(),
         };
         task.carry_out(effects).await;
         let fleet = tokio::spawn(task.run(urgent, events, asked, fleet_stopping));
         let (reading, read) = mpsc::channel(READERS_MAX);
-        let reader = tokio::spawn(read_jobs(jobs, reading, jobs_stopping));
+        let (machines, known_machines) = watch::channel(Arc::new(config.machines.clone()));
+        let reader = tokio::spawn(read_jobs(jobs, reading, known_machines, jobs_stopping));
         let forwarder = tokio::spawn(forward_jobs(read, events_sender, Arc::clone(&bus)));
 
         let service = Self {
@@ -234,6 +278,7 @@ impl Service {
                 failed: failed.clone(),
             },
             failed,
+            machines,
             reader,
             forwarder,
             fleet,
@@ -263,6 +308,11 @@ impl Service {
         self.bus.locators()
     }
 
+    /// Jobs in G-code that come from now on are for these machines.
+    pub fn set_machines(&self, machines: Machines) {
+        self.machines.send_replace(Arc::new(machines));
+    }
+
     /// Returns what answers questions about the fleet, also from other tasks.
     pub fn observer(&self) -> Observer {
         self.observer.clone()
@@ -278,11 +328,11 @@ impl Service {
         let _ = failed.wait_for(|failed| *failed).await;
     }
 
-    /// Takes nothing more, carries out what was taken, and closes the network.
+    /// Takes nothing more, carries out what was taken, and closes the network. Returns what is left.
     ///
     /// # Errors
     /// What made the store fail.
-    pub async fn shutdown(self) -> Result<(), ServiceError> {
+    pub async fn shutdown(self) -> Result<Remaining, ServiceError> {
         self.bus.undeclare();
         self.stop_jobs.send_replace(true);
         let reader = self.reader.await;
@@ -295,14 +345,10 @@ impl Service {
             Ok(Ok(result)) => result?,
             _ => return Err(ServiceError::Panicked("writer")),
         }
-        for (result, name) in [
-            (reader, "reader"),
-            (forwarder, "reader"),
-            (fleet, "fleet task"),
-        ] {
-            result.map_err(|_| ServiceError::Panicked(name))?;
+        for result in [reader, forwarder] {
+            result.map_err(|_| ServiceError::Panicked("reader"))?;
         }
-        Ok(())
+        fleet.map_err(|_| ServiceError::Panicked("fleet task"))
     }
 }
 
@@ -353,6 +399,7 @@ struct BeingRead {
 async fn read_jobs(
     mut jobs: mpsc::Receiver<PostedJob>,
     reading: mpsc::Sender<BeingRead>,
+    machines: watch::Receiver<Arc<Machines>>,
     mut stopping: watch::Receiver<bool>,
 ) {
     loop {
@@ -367,36 +414,93 @@ async fn read_jobs(
             return;
         };
         let reply = job.reply;
+        let machines = Arc::clone(&machines.borrow());
         let event = if job.payload.len() <= READ_INLINE_BYTES_MAX {
-            tokio::spawn(async move { read_job(job) })
+            tokio::spawn(async move { read_job(job, &machines) })
         } else {
-            tokio::task::spawn_blocking(move || read_job(job))
+            tokio::task::spawn_blocking(move || read_job(job, &machines))
         };
         place.send(BeingRead { event, reply });
     }
 }
 
-fn read_job(job: PostedJob) -> Event {
+fn read_job(job: PostedJob, machines: &Machines) -> Event {
     let (payload, reply) = (job.payload.to_bytes(), job.reply);
-    match job.to {
-        Addressee::Node(pattern) => {
-            let Parsed { request, id_hint } = parse(&job.encoding, &payload);
-            Event::Submit {
-                pattern,
-                request,
-                id_hint,
-                reply,
-            }
+    let event = read_addressed(job.to, &job.encoding, &payload, reply, machines);
+    match job
+        .wishes
+        .map(|wishes| JobWishes::from_json(&wishes.to_bytes()))
+    {
+        None => event,
+        Some(Ok(wishes)) if wishes == JobWishes::default() => event,
+        Some(Ok(_)) if matches!(event, Event::SubmitGroup { .. }) => {
+            let message = "attachment: a synchronized job has neither priority nor time: two in another order on another node would wait for each other";
+            refused(event, JobError::new(ErrorCode::BadJson, message))
         }
+        Some(Ok(wishes)) => Event::SubmitWith {
+            wishes,
+            submit: Box::new(event),
+        },
+        Some(Err(error)) => refused(event, error),
+    }
+}
+
+/// Returns the same job with this as its error.
+fn refused(event: Event, error: JobError) -> Event {
+    let id_of = |id_hint: Option<JobId>, id: Option<JobId>| id_hint.or(id);
+    match event {
+        Event::Submit {
+            pattern,
+            request,
+            id_hint,
+            reply,
+        } => Event::Submit {
+            id_hint: id_of(id_hint, request.ok().and_then(|request| request.id)),
+            pattern,
+            request: Err(error),
+            reply,
+        },
+        Event::SubmitGroup {
+            pattern,
+            request,
+            id_hint,
+            reply,
+        } => Event::SubmitGroup {
+            id_hint: id_of(id_hint, request.ok().and_then(|request| request.id)),
+            pattern,
+            request: Err(error),
+            reply,
+        },
+        other => other,
+    }
+}
+
+fn read_addressed(
+    to: Addressee,
+    encoding: &str,
+    payload: &[u8],
+    reply: Option<ReplyTo>,
+    machines: &Machines,
+) -> Event {
+    let pattern = match to {
+        Addressee::Node(pattern) => pattern,
+        Addressee::Label(label) => format!("@{label}"),
         Addressee::Group(pattern) => {
-            let Parsed { request, id_hint } = parse_group(&job.encoding, &payload);
-            Event::SubmitGroup {
+            let Parsed { request, id_hint } = parse_group(encoding, payload);
+            return Event::SubmitGroup {
                 pattern,
                 request,
                 id_hint,
                 reply,
-            }
+            };
         }
+    };
+    let Parsed { request, id_hint } = parse_for(&pattern, encoding, payload, machines);
+    Event::Submit {
+        pattern,
+        request,
+        id_hint,
+        reply,
     }
 }
 
@@ -433,6 +537,8 @@ struct FleetTask {
     bus: Arc<Bus>,
     batches: mpsc::Sender<EffectBatch>,
     store_failed: Arc<AtomicBool>,
+    spans: JobSpans,
+    keys: Keys,
 }
 
 impl FleetTask {
@@ -442,7 +548,7 @@ impl FleetTask {
         mut events: mpsc::Receiver<Arrived>,
         mut asked: mpsc::Receiver<oneshot::Sender<Snapshot>>,
         mut stopping: watch::Receiver<bool>,
-    ) {
+    ) -> Remaining {
         loop {
             // First, so that a flood of events cannot keep time from passing.
             let due_in = self.due_in();
@@ -460,7 +566,7 @@ impl FleetTask {
                 biased;
                 Some(event) = urgent.recv() => (event.into(), false),
                 Some(arrived) = events.recv() => (arrived, true),
-                _ = stopping.wait_for(|stop| *stop) => return,
+                _ = stopping.wait_for(|stop| *stop) => return Remaining::of(&self.fleet),
                 Some(answer) = asked.recv() => {
                     // Whoever asked may have left.
                     let _ = answer.send(Snapshot::of(&self.fleet));
@@ -500,8 +606,17 @@ impl FleetTask {
     }
 
     /// Sends what overtakes everything and hands the rest to the writer.
-    async fn carry_out(&self, mut effects: Vec<Effect>) {
+    async fn carry_out(&mut self, mut effects: Vec<Effect>) {
         effects.retain_mut(|effect| match effect {
+            Effect::Publish {
+                key,
+                payload,
+                lane: Lane::Record,
+                ..
+            } => {
+                self.spans.published(&self.keys, key, payload);
+                true
+            }
             Effect::Publish {
                 key,
                 payload,
@@ -528,7 +643,11 @@ fn reply_of(event: &Event) -> Option<ReplyTo> {
         | Event::Cancel { reply, .. }
         | Event::Release { reply, .. }
         | Event::Pace { reply, .. } => *reply,
-        Event::GetJobs { reply, .. } | Event::GetNodes { reply, .. } => Some(*reply),
+        Event::GetJobs { reply, .. }
+        | Event::GetNodes { reply, .. }
+        | Event::ManageNodes { reply, .. }
+        | Event::ManageJob { reply, .. } => Some(*reply),
+        Event::SubmitWith { submit, .. } => reply_of(submit),
         Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,
     }
 }

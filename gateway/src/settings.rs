@@ -4,7 +4,7 @@
 //! it. [`Settings::parse`] refuses what it does not know and what is out of range, and names the
 //! line. Command line and environment win over the file.
 
-use crate::{config::GatewayConfig, fleet::FleetConfig};
+use crate::{config::GatewayConfig, fleet::FleetConfig, job::gcode::Machines};
 use keys::Keys;
 use serde::{Deserialize, Deserializer, de};
 use std::{
@@ -16,7 +16,7 @@ use std::{
 pub const DEFAULTS: &str = include_str!("fleet.toml");
 
 /// What stands in the file. `None`: the default.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Where the gateway is and who may connect.
@@ -27,6 +27,8 @@ pub struct Settings {
     pub fleet: Bounds,
     /// What one client may ask for.
     pub client: Client,
+    /// Sections `[node.NAME]`: the machines of nodes that take G-code.
+    pub node: Machines,
 }
 
 /// Section `[network]`.
@@ -158,6 +160,7 @@ impl Settings {
             store,
             fleet,
             client,
+            node,
         } = self;
         let file = store.file.unwrap_or_else(|| STORE_DEFAULT.into());
         let mut config = GatewayConfig::new(file);
@@ -167,6 +170,7 @@ impl Settings {
         config.secure = network.secure;
         config.http = network.http;
         config.scouting = network.scouting.unwrap_or(false);
+        config.machines = node;
         let FleetConfig {
             silence_us,
             retention_jobs,
@@ -247,6 +251,7 @@ mod tests {
             store,
             fleet,
             client,
+            node: _,
         } = Settings::parse(&switched_on()).expect("legal");
         let of_client = [client.requests_per_s, client.mib_per_s, client.gets_open];
         assert!(of_client.iter().all(Option::is_some), "{of_client:?}");
@@ -280,6 +285,23 @@ mod tests {
             ("[network]\nprefix = \"*\"\n", 2, ""),
             ("[stroe]\n", 1, "unknown field `stroe`"),
             ("[store\n", 1, ""),
+            (
+                "[node.left]\nsteps_per_mm = [0]\n",
+                2,
+                "0 is not within 0.001",
+            ),
+            ("[node.left]\nsteps_per_mm = [1, 1, 1, 1, 1]\n", 2, "5 axes"),
+            ("[node.Left]\nsteps_per_mm = [80]\n", 1, ""),
+            (
+                "[node.left]\nsteps_per_mm = [80]\nspeed_mm_min = [900, 9]\naccel_mm_s2 = [9]\n",
+                1,
+                "`speed_mm_min` has 2 axes and `steps_per_mm` has 1",
+            ),
+            (
+                "[node.left]\nsteps_per_mm = [80]\nspeed_mm_min = [9e6]\naccel_mm_s2 = [9]\n",
+                1,
+                "steps a second",
+            ),
         ] {
             let error = Settings::parse(text).expect_err("illegal");
             assert!(
@@ -288,6 +310,27 @@ mod tests {
             );
             assert!(error.contains(words), "{text:?}: {error}");
         }
+    }
+
+    #[test]
+    fn the_printed_example_of_a_machine_is_one() {
+        let (_, example) = DEFAULTS
+            .split_once("# [node.left]\n")
+            .expect("there is one");
+        let lines = example.lines().map(|line| match line.strip_prefix("# ") {
+            Some(option) if option.contains(" = ") => option.to_owned() + "\n",
+            _ => String::new(),
+        });
+        let text = format!("[node.left]\n{}", lines.collect::<String>());
+        let config = Settings::parse(&text).expect("legal").into_config();
+        let machine = config.machines.values().next().expect("one");
+        assert_eq!(machine.axis_count(), 3);
+        assert!(machine.travel_mm.is_some() && machine.jerk_mm_s3.is_some());
+        assert_eq!(machine.offsets_mm[5], [0.0; 3]);
+        assert_eq!(
+            (machine.arc_tolerance_mm, machine.laser_s_max),
+            (0.002, 1_000.0)
+        );
     }
 
     #[test]

@@ -33,17 +33,47 @@ const PACKAGE_VERSION: &str = "1.10.2";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn the_contract_holds_for_a_client_in_python() {
+    plays("contract.py", None).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn the_python_package_is_installed_by_pip_and_does_what_it_says() {
+    let packages = tempfile::tempdir().expect("a folder");
+    plays("package.py", Some(packages.path())).await;
+}
+
+/// Runs a script against a fleet. `packages`: where the package of this project is installed for it.
+async fn plays(script: &str, packages: Option<&Path>) {
     let python = tokio::task::spawn_blocking(python)
         .await
         .expect("no panic")
         .expect("a Python with eclipse-zenoh");
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/contract.py");
+    if let Some(packages) = packages {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gateway/clients/python");
+        let pip = [
+            "-m",
+            "pip",
+            "install",
+            "--disable-pip-version-check",
+            "--no-deps",
+            "--target",
+        ];
+        run(Command::new(&python).args(pip).arg(packages).arg(source)).expect("installed");
+    }
+    let packages = packages.map(Path::to_owned);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("python")
+        .join(script);
     let mut fixture = Fixture::start().await.expect("a fleet");
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let control = listener.local_addr().expect("bound").to_string();
     let locator = fixture.locator.clone();
     let mut client = tokio::task::spawn_blocking(move || {
-        Command::new(python)
+        let mut command = Command::new(python);
+        if let Some(packages) = packages {
+            command.env("PYTHONPATH", packages);
+        }
+        command
             .arg(script)
             .args(["--locator", &locator, "--control", &control])
             .args(only())

@@ -14,7 +14,10 @@ use super::{
     zenoh::Payload,
 };
 use crate::{
-    fleet::event::{Event, ReplyTo},
+    fleet::{
+        event::{Event, ReplyTo},
+        manage::{NodeWishes, OrderWishes},
+    },
     job::parse::wish_from,
 };
 use keys::{
@@ -131,6 +134,12 @@ pub(super) enum Door {
     Job,
     /// `PREFIX/job/*/cancel`
     JobCancel,
+    /// `PREFIX/manage/label/*/job`
+    LabelJob,
+    /// `PREFIX/manage/node/*`
+    ManageNode,
+    /// `PREFIX/manage/job/*`
+    ManageJob,
 }
 
 impl Door {
@@ -141,12 +150,31 @@ impl Door {
             Self::GroupJob => keys.every_group_job(),
             Self::Job => keys.every_job(),
             Self::JobCancel => keys.every_job_cancel(),
+            Self::LabelJob | Self::ManageNode | Self::ManageJob => {
+                let (before, behind) = self.around_name();
+                return format!("{}{before}*{behind}", keys.prefix());
+            }
         };
         key.as_str().to_owned()
     }
 
+    /// Returns what stands around the name in keys of management.
+    fn around_name(self) -> (&'static str, &'static str) {
+        match self {
+            Self::LabelJob => ("/manage/label/", "/job"),
+            Self::ManageNode => ("/manage/node/", ""),
+            _ => ("/manage/job/", ""),
+        }
+    }
+
     /// Returns the name chunk of a key of this kind; `None`: it only includes such keys.
     fn name<'k>(self, keys: &Keys, key: &'k str) -> Option<&'k str> {
+        if matches!(self, Self::LabelJob | Self::ManageNode | Self::ManageJob) {
+            let (before, behind) = self.around_name();
+            let name = key.strip_prefix(keys.prefix())?.strip_prefix(before)?;
+            let name = name.strip_suffix(behind)?;
+            return (!name.contains('/') && name != "**").then_some(name);
+        }
         let name = match (self, keys.parse(key)?) {
             (Self::Node(declared), Topic::Node { node, topic }) if topic == declared => node,
             (Self::GroupJob, Topic::GroupJob { group }) => group,
@@ -202,22 +230,31 @@ impl Ear {
         };
         let pattern = name.to_owned();
         match self.door {
-            Door::Node(NodeTopic::Job | NodeTopic::Release) | Door::GroupJob | Door::JobCancel => {
-                match self.gets.count(sample.payload().len(), at) {
-                    Admission::Taken => {}
-                    Admission::Refused { tell } => return self.refuse_put(pattern, tell),
-                }
-            }
-            Door::Node(_) | Door::Job => {}
+            Door::Node(
+                NodeTopic::Job
+                | NodeTopic::Release
+                | NodeTopic::Hold
+                | NodeTopic::Resume
+                | NodeTopic::Speed,
+            )
+            | Door::GroupJob
+            | Door::LabelJob
+            | Door::JobCancel => match self.gets.count(sample.payload().len(), at) {
+                Admission::Taken => {}
+                Admission::Refused { tell } => return self.refuse_put(pattern, tell),
+            },
+            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob => {}
         }
         let job = |to| {
             let payload = Payload(sample.payload().clone());
+            let wishes = sample.attachment().cloned().map(Payload);
             self.inbox
-                .job(to, sample.encoding().to_string(), payload, None)
+                .job(to, sample.encoding().to_string(), payload, wishes, None)
         };
         let taken = match self.door {
             Door::Node(NodeTopic::Job) => job(Addressee::Node(pattern)),
             Door::GroupJob => job(Addressee::Group(pattern)),
+            Door::LabelJob => job(Addressee::Label(pattern)),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release {
                 pattern,
                 reply: None,
@@ -247,7 +284,7 @@ impl Ear {
                 let at = (topic == NodeTopic::Clock).then_some(at);
                 self.inbox.event(Arrived { event, at })
             }
-            Door::Job => Ok(()),
+            Door::Job | Door::ManageNode | Door::ManageJob => Ok(()),
         };
         // Full: counted by the inbox, and a put has no answer.
         let _ = taken;
@@ -258,6 +295,7 @@ impl Ear {
         let to = match self.door {
             Door::Node(NodeTopic::Job) if tell => Addressee::Node(pattern),
             Door::GroupJob if tell => Addressee::Group(pattern),
+            Door::LabelJob if tell => Addressee::Label(pattern),
             _ => return self.inbox.note_dropped(&"a client asks for too much"),
         };
         // Full: counted by the inbox.
@@ -280,11 +318,23 @@ impl Ear {
         let job = |addressee| {
             let payload = Payload(query.payload().cloned().unwrap_or_default());
             let encoding = query.encoding().cloned().unwrap_or_default().to_string();
-            self.inbox.job(addressee, encoding, payload, reply)
+            let wishes = query.attachment().cloned().map(Payload);
+            self.inbox.job(addressee, encoding, payload, wishes, reply)
         };
         let taken = match self.door {
             Door::Node(NodeTopic::Job) => job(Addressee::Node(pattern)),
             Door::GroupJob => job(Addressee::Group(pattern)),
+            Door::LabelJob => job(Addressee::Label(pattern)),
+            Door::ManageNode => self.inbox.event(Event::ManageNodes {
+                pattern,
+                request: NodeWishes::from_json(&asked(query)),
+                reply: to,
+            }),
+            Door::ManageJob => self.inbox.event(Event::ManageJob {
+                job: pattern,
+                request: OrderWishes::from_json(&asked(query)),
+                reply: to,
+            }),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
             Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
             Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {
@@ -321,6 +371,14 @@ impl Ear {
             self.inbox.urgent(Event::Alive { node, alive });
         }
     }
+}
+
+/// Returns the payload of a get; none is an empty one.
+fn asked(query: &Query) -> Vec<u8> {
+    query
+        .payload()
+        .map(|payload| payload.to_bytes().into_owned())
+        .unwrap_or_default()
 }
 
 /// Returns whom a stop means. A key that includes stop keys without being one (`fleet/**`) means
@@ -378,6 +436,9 @@ mod tests {
             Door::GroupJob,
             Door::Job,
             Door::JobCancel,
+            Door::LabelJob,
+            Door::ManageNode,
+            Door::ManageJob,
         ] {
             assert_eq!(door.name(&keys, &door.key(&keys)), Some("*"), "{door:?}");
         }

@@ -101,6 +101,8 @@ pub enum Addressee {
     Node(String),
     /// A group's name, or a wild chunk.
     Group(String),
+    /// A label's name, or a wild chunk, which none is.
+    Label(String),
 }
 
 /// A job as it came, unread.
@@ -112,6 +114,8 @@ pub struct PostedJob {
     pub encoding: String,
     /// The bytes.
     pub payload: zenoh::Payload,
+    /// How important it is and when it may begin, in JSON; nothing: as usual.
+    pub wishes: Option<zenoh::Payload>,
     /// Who waits for a receipt.
     pub reply: Option<ReplyTo>,
     /// Its part of [`JOBS_WAITING_KIB_MAX`], given back when it has been read.
@@ -194,6 +198,7 @@ impl Inbox {
         to: Addressee,
         encoding: String,
         payload: zenoh::Payload,
+        wishes: Option<zenoh::Payload>,
         reply: Option<ReplyTo>,
     ) -> Result<(), Full> {
         let kib = payload.len().div_ceil(1_024).min(JOBS_WAITING_KIB_MAX);
@@ -204,6 +209,7 @@ impl Inbox {
                     to,
                     encoding,
                     payload,
+                    wishes,
                     reply,
                     room,
                 };
@@ -229,8 +235,11 @@ impl Inbox {
 /// Returns the event for a job that was not read.
 pub fn refusal_event(to: Addressee, error: JobError, reply: Option<ReplyTo>) -> Event {
     match to {
-        Addressee::Node(pattern) => Event::Submit {
-            pattern,
+        Addressee::Node(_) | Addressee::Label(_) => Event::Submit {
+            pattern: match to {
+                Addressee::Label(label) => format!("@{label}"),
+                Addressee::Node(pattern) | Addressee::Group(pattern) => pattern,
+            },
             request: Err(error),
             id_hint: None,
             reply,

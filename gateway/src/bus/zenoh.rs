@@ -238,6 +238,7 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Job)),
             (&self.main, Door::GroupJob),
             (&self.main, Door::JobCancel),
+            (&self.main, Door::LabelJob),
             (&self.main, Door::Node(NodeTopic::Status)),
             (&self.main, Door::Node(NodeTopic::Ack)),
             (&self.main, Door::Node(NodeTopic::Report)),
@@ -271,6 +272,9 @@ impl Bus {
             (&self.swift, Door::Node(NodeTopic::Speed)),
             (&self.main, Door::Node(NodeTopic::State)),
             (&self.main, Door::Job),
+            (&self.main, Door::LabelJob),
+            (&self.main, Door::ManageNode),
+            (&self.main, Door::ManageJob),
         ] {
             let ear = ear(door);
             let queryable = session
@@ -437,12 +441,15 @@ async fn close(session: &Session) {
 fn reply_key(asked: &keyexpr, key: &str) -> Option<String> {
     let verb = asked.as_str().rsplit('/').next().unwrap_or_default();
     let parent = key.rsplit_once('/').map_or(key, |(parent, _)| parent);
+    // A label's nodes all answer on the one key of its jobs, which names none of them.
+    let of_label = asked.as_str().contains("/manage/label/");
     [
         key.to_owned(),
         format!("{key}/{verb}"),
         format!("{parent}/{verb}"),
     ]
     .into_iter()
+    .chain(of_label.then(|| asked.as_str().to_owned()))
     .find(|key| {
         keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key) && !key.contains('*'))
     })

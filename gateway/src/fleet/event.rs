@@ -7,7 +7,10 @@
 //! clock probes, and what is said of a start whose plan is durable depend on no write and overtake
 //! everything.
 
-use super::node::Wish;
+use super::{
+    manage::{JobWishes, NodeWishes, OrderWishes},
+    node::Wish,
+};
 use keys::{
     JobId, NodeId, NodeTopic, StopMode,
     job::{GroupRequest, JobRequest},
@@ -42,6 +45,31 @@ pub enum Event {
         id_hint: Option<JobId>,
         /// Who waits for a receipt.
         reply: Option<ReplyTo>,
+    },
+    /// A job that came with wishes, see [`super::manage`].
+    SubmitWith {
+        /// The wishes.
+        wishes: JobWishes,
+        /// The job.
+        submit: Box<Self>,
+    },
+    /// A get on `PREFIX/manage/node/PATTERN`.
+    ManageNodes {
+        /// A node's name, or a wild chunk.
+        pattern: String,
+        /// What to change.
+        request: Result<NodeWishes, JobError>,
+        /// Who waits.
+        reply: ReplyTo,
+    },
+    /// A get on `PREFIX/manage/job/JOB`.
+    ManageJob {
+        /// The job.
+        job: String,
+        /// What to change.
+        request: Result<OrderWishes, JobError>,
+        /// Who waits.
+        reply: ReplyTo,
     },
     /// `PREFIX/job/PATTERN/cancel`.
     Cancel {

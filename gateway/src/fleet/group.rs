@@ -229,7 +229,7 @@ impl Fleet {
             return self.end_group(&id, Ending::Fail(error), away, effects);
         }
         for node in nodes {
-            self.with_node(node, effects, |node, _| node.enqueue(id));
+            self.with_node(node, effects, |node, turn| node.enqueue(id, turn.book));
         }
     }
 
@@ -276,6 +276,10 @@ impl Fleet {
             check_script(view.facts().features).map_err(placed("."))?;
         }
         view.check(own, true).map_err(placed("."))?;
+        if let Some(reason) = &view.facts().maintenance {
+            let message = format!("node {node} is in maintenance: {reason}");
+            return refuse(ErrorCode::NotAllowed, message);
+        }
         if view.is_stopped() {
             let message = format!("node {node} is stopped; release it first");
             return refuse(ErrorCode::Stopped, message);

@@ -94,7 +94,7 @@ impl<'p> Filter<'p> {
                     Pattern::Name(text) if NodeId::new(text).is_err() => {
                         return bad(name, format!("`{value}` is no name of a node"));
                     }
-                    Pattern::Malformed(_) => {
+                    Pattern::Malformed(_) | Pattern::Label(_) => {
                         return bad(name, format!("`{value}` is no name of a node"));
                     }
                     pattern => filter.node = Some(pattern),

@@ -21,6 +21,7 @@ pub mod clock;
 pub mod event;
 mod group;
 mod history;
+pub mod manage;
 pub mod node;
 pub mod pattern;
 mod restore;
@@ -137,6 +138,8 @@ pub struct Fleet {
     last_made_us: u64,
     random: u64,
     ignored_count: u64,
+    /// Of the job that is being handed in.
+    wishes: manage::JobWishes,
     /// No probe has left in this call.
     may_probe: bool,
 }
@@ -165,6 +168,7 @@ impl Fleet {
             last_made_us: 0,
             random: seed,
             ignored_count: 0,
+            wishes: manage::JobWishes::default(),
             may_probe: true,
         }
     }
@@ -189,6 +193,19 @@ impl Fleet {
                 id_hint,
                 reply,
             } => self.submit_group(&pattern, request, id_hint, reply, effects),
+            Event::SubmitWith { wishes, submit } => {
+                return self.submit_with(wishes, *submit, now, effects);
+            }
+            Event::ManageNodes {
+                pattern,
+                request,
+                reply,
+            } => self.manage_nodes(&pattern, request, reply, effects),
+            Event::ManageJob {
+                job,
+                request,
+                reply,
+            } => self.manage_job(&job, request, reply, effects),
             Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
             Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
             Event::Pace {
@@ -391,6 +408,12 @@ impl Fleet {
                 .filter(|id| self.nodes.contains_key(id))
                 .into_iter()
                 .collect(),
+            Pattern::Label(label) => self
+                .nodes
+                .values()
+                .filter(|node| node.has_label(label))
+                .map(Node::id)
+                .collect(),
             pattern => self
                 .nodes
                 .keys()
@@ -411,6 +434,14 @@ impl Fleet {
             (Pattern::Name(name), _) => {
                 JobError::new(ErrorCode::NodeOffline, format!("node {name} is offline"))
             }
+            (Pattern::Label(label), []) => JobError::new(
+                ErrorCode::UnknownNode,
+                format!("no node has the label `{label}`"),
+            ),
+            (Pattern::Label(label), _) => JobError::new(
+                ErrorCode::NodeOffline,
+                format!("every node with the label `{label}` is offline"),
+            ),
             (_, []) => JobError::new(
                 ErrorCode::UnknownNode,
                 format!("no node that has been seen matches `{pattern}`"),

@@ -32,16 +32,17 @@ use super::{
     FleetConfig,
     clock::ClockTrack,
     event::{Effect, Lane, ReplyTo},
+    manage::{self, MaintenanceWish, NodeWishes},
     route::{RoundTrip, Route},
 };
 use crate::job::{Change, Ending, Job, book::Book, group::Passed};
 use keys::{
-    Fault, Features, FleetMicros, JobId, Keys, NodeId, NodeTopic, QueueId, Status, StopMode,
-    StopReason,
+    Fault, Features, FleetMicros, GroupId, JobId, Keys, NodeId, NodeTopic, QueueId, Status,
+    StopMode, StopReason,
     record::{ErrorCode, JobError, JobState, NodeRecord, no_such_axis},
 };
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 /// Boots that are remembered as over.
 const REPLACED_BOOTS_MAX: usize = 8;
@@ -74,6 +75,12 @@ pub struct Facts {
     /// It must be dropped at once, without a ramp.
     #[serde(default)]
     pub drop_halts: bool,
+    /// Names under which it can be meant together with others.
+    #[serde(default)]
+    pub labels: BTreeSet<GroupId>,
+    /// Why it is given no jobs.
+    #[serde(default)]
+    pub maintenance: Option<String>,
 }
 
 /// A stop latch as it was seen.
@@ -199,6 +206,8 @@ pub struct Node {
     limit: u64,
     active: Option<JobId>,
     waiting: VecDeque<JobId>,
+    /// When the first of those that wait may begin, if none may yet.
+    next_at: Option<FleetMicros>,
     route: Option<Route>,
     round_trip: RoundTrip,
     /// The latch was seen closing over a queue that is still the same: it comes to rest.
@@ -233,6 +242,7 @@ impl Node {
             limit: 0,
             active: None,
             waiting: VecDeque::new(),
+            next_at: None,
             route: None,
             round_trip: RoundTrip::default(),
             coming_to_rest: false,
@@ -290,9 +300,42 @@ impl Node {
         self.facts.position_steps.len()
     }
 
-    /// Puts a job behind those that wait.
-    pub(super) fn enqueue(&mut self, job: JobId) {
+    /// Returns whether it has this label.
+    pub(super) fn has_label(&self, label: &str) -> bool {
+        GroupId::new(label).is_ok_and(|label| self.facts.labels.contains(&label))
+    }
+
+    /// Puts a job among those that wait, behind those of its rank.
+    pub(super) fn enqueue(&mut self, job: JobId, book: &Book) {
         self.waiting.push_back(job);
+        self.sort_waiting(book);
+    }
+
+    /// Puts a job behind all that wait; [`Node::sort_waiting`] follows.
+    pub(super) fn enqueue_last(&mut self, job: JobId) {
+        self.waiting.push_back(job);
+    }
+
+    /// Puts the jobs that wait in their order.
+    pub(super) fn sort_waiting(&mut self, book: &Book) {
+        let rank = |id: &JobId| book.part(id, self.id).map(|job| manage::rank(&job.entry));
+        self.waiting.make_contiguous().sort_by_cached_key(rank);
+    }
+
+    /// Changes labels and maintenance.
+    pub(super) fn arrange(&mut self, wishes: &NodeWishes, turn: &mut Turn<'_>) {
+        self.facts.labels.extend(wishes.label.iter().copied());
+        for label in &wishes.unlabel {
+            self.facts.labels.remove(label);
+        }
+        match &wishes.maintenance {
+            None | Some(MaintenanceWish::On(true)) => {}
+            Some(MaintenanceWish::On(false)) => self.facts.maintenance = None,
+            Some(MaintenanceWish::Because { reason }) => {
+                self.facts.maintenance = Some(reason.clone());
+            }
+        }
+        self.store(turn);
     }
 
     /// Takes the job that was on its way when the gateway went.

@@ -10,6 +10,8 @@ pub enum Pattern<'p> {
     Name(&'p str),
     /// Every name that intersects.
     Wild(&'p keyexpr),
+    /// `@LABEL`, which no chunk of a key can be: nodes with this label. It matches no name by itself.
+    Label(&'p str),
     /// No chunk at all: it means no name.
     Malformed(&'p str),
 }
@@ -17,6 +19,9 @@ pub enum Pattern<'p> {
 impl<'p> Pattern<'p> {
     /// Reads the chunk.
     pub fn new(chunk: &'p str) -> Self {
+        if let Some(label) = chunk.strip_prefix('@') {
+            return Self::Label(label);
+        }
         if !chunk.contains(['*', '$', '/', '#', '?']) && !chunk.is_empty() {
             return Self::Name(chunk);
         }
@@ -33,7 +38,7 @@ impl<'p> Pattern<'p> {
         match self {
             Self::Name(this) => *this == name,
             Self::Wild(wild) => keyexpr::new(name).is_ok_and(|name| wild.intersects(name)),
-            Self::Malformed(_) => false,
+            Self::Label(_) | Self::Malformed(_) => false,
         }
     }
 }

@@ -102,7 +102,7 @@ impl Fleet {
         fleet.book.tell_again(LIMIT_DEFAULT, effects);
         let nodes: Vec<NodeId> = fleet.nodes.keys().copied().collect();
         for id in nodes {
-            fleet.with_node(id, effects, |_, _| {});
+            fleet.with_node(id, effects, |node, turn| node.sort_waiting(turn.book));
         }
         fleet.settle(effects);
         Ok(fleet)
@@ -174,7 +174,7 @@ impl Fleet {
                 why: format!("node {node} has job {other} already"),
             })?;
         } else {
-            view.enqueue(job.id());
+            view.enqueue_last(job.id());
         }
         Ok(())
     }

@@ -47,7 +47,7 @@ impl Fleet {
     ) {
         let name = match Pattern::new(pattern) {
             Pattern::Name(name) => Some(name),
-            Pattern::Wild(_) | Pattern::Malformed(_) => None,
+            Pattern::Wild(_) | Pattern::Label(_) | Pattern::Malformed(_) => None,
         };
         // A refused job's record names its node even if nobody has ever seen it.
         let node = name.and_then(|name| NodeId::new(name).ok());
@@ -141,6 +141,10 @@ impl Fleet {
             check_script(view.facts().features)?;
         }
         view.check(&prepared.commands, false)?;
+        if let Some(reason) = &view.facts().maintenance {
+            let message = format!("node {node} is in maintenance: {reason}");
+            return Err(JobError::new(ErrorCode::NotAllowed, message));
+        }
         self.check_signature(node, &id, prepared)?;
         if view.is_stopped() {
             let message = format!("node {node} is stopped; release it first");
@@ -169,6 +173,7 @@ impl Fleet {
         let mut entry = JobEntry::new(record, self.book.take_sequence());
         entry.timeout_us = prepared.timeout_us;
         entry.signature.clone_from(&prepared.signature);
+        entry.turn = self.wishes.turnplace();
         let job = Job::new(entry, prepared.commands.clone()).with_script(prepared.script.clone());
         self.book
             .insert(job, Some(prepared.stored.clone()), effects);
@@ -204,7 +209,7 @@ impl Fleet {
             (Ok(id), Some(node)) => {
                 let key = self.config.keys.node(&node, NodeTopic::Job);
                 self.receipt(&id, &key, reply, effects);
-                self.with_node(node, effects, |node, _| node.enqueue(id));
+                self.with_node(node, effects, |node, turn| node.enqueue(id, turn.book));
             }
             (Ok(_), None) => unreachable!("a job is accepted for a node only"),
             (Err(error), _) => self.refuse(error, named, node, None, None, reply, effects),

@@ -142,6 +142,8 @@ impl Job {
         for part in self.parts.values_mut() {
             part.progress_told_at = now;
         }
+        self.entry.note_step();
+        let record = &mut self.entry.record;
         if change.state.is_final() {
             record.error = change.error;
             self.split = self.is_split();

@@ -22,9 +22,11 @@
 //! `group` says of both.
 
 pub mod book;
+pub mod gcode;
 pub mod group;
 pub mod parse;
 
+use crate::fleet::manage::Turnplace;
 use group::{GroupEntry, Passed};
 use keys::{
     Command, FleetMicros, JobId, NodeId, QueueId,
@@ -81,6 +83,12 @@ pub struct JobEntry {
     pub ending: Option<Ending>,
     /// Longest time from activation to the last pulse, µs.
     pub timeout_us: Option<u64>,
+    /// When its turn comes among those that wait.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub turn: Turnplace,
+    /// When it came into which state, first things first; the first [`STEPS_MAX`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub steps: Vec<Step>,
     /// What else is stored of a synchronized job that is not final.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<Box<GroupEntry>>,
@@ -92,6 +100,18 @@ pub struct JobEntry {
     pub signature: Option<JobSignature>,
 }
 
+/// Steps that are kept of a job: a node that comes and goes all day makes no more of them.
+pub const STEPS_MAX: usize = 32;
+
+/// A change of a job's state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Step {
+    /// When.
+    pub at: FleetMicros,
+    /// Into which.
+    pub state: JobState,
+}
+
 /// A script has returned; the commands that it queued may still be executed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScriptEnd {
@@ -101,18 +121,40 @@ pub struct ScriptEnd {
     pub returned: Option<serde_json::Value>,
 }
 
+fn is_default(turn: &Turnplace) -> bool {
+    *turn == Turnplace::default()
+}
+
 impl JobEntry {
     /// Of a job that is no node's yet and has no limit.
     pub fn new(record: JobRecord, sequence: u64) -> Self {
+        let begin = Step {
+            at: record.created,
+            state: record.state,
+        };
         Self {
             record,
             sequence,
             activation: None,
             ending: None,
             timeout_us: None,
+            turn: Turnplace::default(),
+            steps: vec![begin],
             group: None,
             script_end: None,
             signature: None,
+        }
+    }
+}
+
+impl JobEntry {
+    /// Notes the record's state, if it is another one than before.
+    fn note_step(&mut self) {
+        let (at, state) = (self.record.updated, self.record.state);
+        let news = self.steps.last().is_none_or(|step| step.state != state);
+        // The last place is kept for the end.
+        if news && (self.steps.len() + 1 < STEPS_MAX || state.is_final()) {
+            self.steps.push(Step { at, state });
         }
     }
 }
@@ -264,6 +306,8 @@ impl Job {
             // A node's older word must not take back what was reported.
             record.progress.done = record.progress.done.max(done);
         }
+        self.entry.note_step();
+        let record = &mut self.entry.record;
         if change.state.is_final() {
             record.error = change.error;
             record.result = change.result;

@@ -4,9 +4,10 @@
 //! Promises: nothing is guessed. An encoding that is not in the contract is refused, however much
 //! the payload may look like a job. Absent on purpose: anything that needs to know a node.
 
+use super::gcode::{self, Machines};
 use crate::fleet::node::Wish;
 use keys::{
-    JobId, NodeTopic,
+    JobId, NodeId, NodeTopic,
     job::{GroupRequest, JOB_BYTES_MAX, JobRequest, Offline, Work},
     pace::{SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
     record::{ErrorCode, JobError},
@@ -61,8 +62,15 @@ pub struct Parsed<R = JobRequest> {
 }
 
 /// Reads a job. `encoding` is zenoh's text form of the payload's encoding: `application/json`,
-/// `text/x-lua`, `application/octet-stream;postcard`, or `zenoh/bytes` when none was given.
+/// `text/x-lua`, `application/octet-stream;postcard`, or `zenoh/bytes` when none was given. No node
+/// has a machine: G-code is refused.
 pub fn parse(encoding: &str, payload: &[u8]) -> Parsed {
+    parse_for("", encoding, payload, &Machines::new())
+}
+
+/// Reads a job for the node of this name, or the nodes of this wild chunk. As [`parse`]; in addition
+/// `text/x-gcode` and `text/x-gcode;id=NAME` are G-code for the machine of the node.
+pub fn parse_for(pattern: &str, encoding: &str, payload: &[u8], machines: &Machines) -> Parsed {
     if payload.len() > JOB_BYTES_MAX {
         let message = format!("{} bytes; a job has at most {JOB_BYTES_MAX}", payload.len());
         return Parsed::refused(ErrorCode::TooLarge, message);
@@ -102,10 +110,50 @@ pub fn parse(encoding: &str, payload: &[u8]) -> Parsed {
                 format!("the script is not UTF-8 at byte {}", error.valid_up_to()),
             ),
         },
+        Ok(Form::Gcode { id }) => read_gcode(pattern, id, payload, machines),
         Err(error) => Parsed {
             request: Err(error),
             id_hint: None,
         },
+    }
+}
+
+fn read_gcode(pattern: &str, id: Option<JobId>, payload: &[u8], machines: &Machines) -> Parsed {
+    let node = NodeId::new(pattern).ok();
+    let refused = |code, message: String| Parsed {
+        request: Err(JobError::new(code, message)),
+        id_hint: id,
+    };
+    let Some(node) = node else {
+        let message =
+            "G-code is for one node: what a millimetre is, differs from machine to machine";
+        return refused(ErrorCode::BadCommand, message.to_owned());
+    };
+    let Some(machine) = machines.get(&node) else {
+        let message = format!(
+            "the gateway does not know how many steps a millimetre of node {node} has: its fleet.toml \
+             needs a section [node.{node}]"
+        );
+        return refused(ErrorCode::BadCommand, message);
+    };
+    let text = match std::str::from_utf8(payload) {
+        Ok(text) => text,
+        Err(error) => {
+            let at = error.valid_up_to();
+            let message = format!("the program is not UTF-8 at byte {at}");
+            return refused(ErrorCode::BadCommand, message);
+        }
+    };
+    let request = gcode::compile(text, machine).map_err(JobError::from);
+    Parsed {
+        request: request.map(|program| JobRequest {
+            id,
+            work: Work::Commands(program.commands),
+            offline: Offline::default(),
+            timeout_s: None,
+            signature: None,
+        }),
+        id_hint: id,
     }
 }
 
@@ -121,6 +169,10 @@ pub fn parse_group(encoding: &str, payload: &[u8]) -> Parsed<GroupRequest> {
         Ok(Form::Lua) => Err(JobError::new(
             ErrorCode::BadJson,
             "a synchronized job is JSON or postcard; a script goes into the part of each node",
+        )),
+        Ok(Form::Gcode { .. }) => Err(JobError::new(
+            ErrorCode::BadJson,
+            "a synchronized job is JSON or postcard; `fleet check --commands` turns G-code into commands",
         )),
         Err(error) => Err(error),
     };
@@ -140,11 +192,12 @@ impl<R> Parsed<R> {
     }
 }
 
-/// The three ways to write a job.
+/// The ways to write a job.
 enum Form {
     Json,
     Lua,
     Postcard,
+    Gcode { id: Option<JobId> },
 }
 
 /// zenoh's name for "no encoding was given".
@@ -161,6 +214,15 @@ impl Form {
         match (name.trim(), schema.trim()) {
             ("application/json" | "text/json", _) => Ok(Self::Json),
             ("text/x-lua", _) => Ok(Self::Lua),
+            ("text/x-gcode", "") => Ok(Self::Gcode { id: None }),
+            ("text/x-gcode", schema) => match schema.strip_prefix("id=").map(JobId::new) {
+                Some(Ok(id)) => Ok(Self::Gcode { id: Some(id) }),
+                Some(Err(error)) => Err(JobError::new(ErrorCode::BadId, format!("id: {error}"))),
+                None => Err(JobError::new(
+                    ErrorCode::BadJson,
+                    "encoding text/x-gcode has no schema but id=NAME",
+                )),
+            },
             ("application/octet-stream", "postcard") => Ok(Self::Postcard),
             ("application/octet-stream", _) => Err(JobError::new(
                 ErrorCode::BadJson,
@@ -180,8 +242,8 @@ impl Form {
             _ => Err(JobError::new(
                 ErrorCode::BadJson,
                 format!(
-                    "encoding `{encoding}` is not known; a job is application/json, text/x-lua \
-                     or application/octet-stream;postcard"
+                    "encoding `{encoding}` is not known; a job is application/json, text/x-lua, \
+                     text/x-gcode or application/octet-stream;postcard"
                 ),
             )),
         }

@@ -2,7 +2,7 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, backups | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
 //! | node | its own status, ack, clock, start, pace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
@@ -103,6 +103,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     work.extend([
         format!("{prefix}/group/*/job"),
         format!("{prefix}/job/*/cancel"),
+        format!("{prefix}/manage/**"),
     ]);
     work.push(format!("{prefix}/node/*/script/*"));
     rules.add(

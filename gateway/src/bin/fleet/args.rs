@@ -17,11 +17,14 @@ Exit codes:
   1  the job or the request failed or was refused
   2  bad option or file
   3  no connection, or no gateway answers
-  4  timed out waiting";
+  4  timed out waiting
+
+Log on standard error: RUST_LOG says what (default for serve: info,zenoh=error), FLEET_LOG=json makes
+each line a JSON object. `fleet help TOPIC`: node, stop, trouble, gcode, service.";
 
 /// The operator's command line of a fleet of stepper controllers.
 #[derive(Debug, Parser)]
-#[command(name = "fleet", version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(name = "fleet", version, max_term_width = 100, disable_help_subcommand = true, after_help = EXIT_CODES)]
 pub(crate) struct Line {
     #[command(flatten)]
     pub(crate) common: Common,
@@ -102,6 +105,13 @@ Examples:
   fleet serve --config fleet.toml")]
     Config(Config),
 
+    /// Read a G-code program and tell its time and bounds; nothing moves, and no gateway is asked.
+    #[command(after_help = "\
+Examples:
+  fleet check part.gcode --config /etc/fleet.toml --node left
+  fleet check part.gcode --config fleet.toml --commands > part.json")]
+    Check(Check),
+
     /// Make a secured fleet: TLS with its own authority, users with roles, everything else denied.
     #[command(after_help = "\
 Examples:
@@ -147,7 +157,7 @@ Examples:
     #[command(after_help = "Examples:\n  fleet nodes\n  fleet nodes --json | jq -r .node")]
     Nodes,
 
-    /// Hand in a job: JSON commands, or a Lua script.
+    /// Hand in a job: JSON commands, a Lua script, or G-code.
     #[command(after_help = "\
 Commands; ways in steps, accel in steps/s², jerk in steps/s³:
   {\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":-2000}}                  no ramp
@@ -162,16 +172,46 @@ Commands; ways in steps, accel in steps/s², jerk in steps/s³:
 Examples:
   fleet submit square.json --node left --wait
   fleet submit drill.lua --node 'cell-$*' --id drill-7
+  fleet submit part.gcode --node left --wait     # `fleet check` tells its time and bounds
   fleet submit cut.json --group table --wait
+  fleet submit hole.gcode --node left --set depth=4 --set x=10    # ${depth} and ${x} in the file
+  fleet submit clean.lua --label mill --when-idle
+  fleet submit warm-up.json --node left --at 2026-11-23T05:00:00Z
   echo '{\"commands\":[{\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":2000}}]}' | \\
       fleet submit - --node left --wait=60")]
     Submit(Submit),
 
     /// List jobs, newest first.
     #[command(
-        after_help = "Examples:\n  fleet jobs --limit 10\n  fleet jobs --state failed --node left"
+        after_help = "Examples:\n  fleet jobs --limit 10\n  fleet jobs --state failed --node left\n  fleet jobs --limit 1000 --export csv > history.csv"
     )]
     Jobs(Jobs),
+
+    /// Tell the way of a job, step by step.
+    #[command(after_help = "Examples:\n  fleet trace part-7")]
+    Trace(Trace),
+
+    /// Give labels to nodes, take them away, or show how nodes are arranged.
+    #[command(after_help = "\
+Examples:
+  fleet label left mill big       # and now: fleet submit part.json --label mill
+  fleet label left --remove big
+  fleet label                     # labels, maintenance and queue of every node")]
+    Label(Label),
+
+    /// Let a node take no jobs, and say why; or let it take jobs again.
+    #[command(after_help = "\
+Examples:
+  fleet maintenance left 'new belt, Bob'
+  fleet maintenance left --end")]
+    Maintenance(Maintenance),
+
+    /// Change the order of jobs that wait.
+    #[command(after_help = "\
+Examples:
+  fleet move part-7 --before part-3
+  fleet move part-7 --priority 10")]
+    Move(Move),
 
     /// Show nodes and jobs as they change, until Ctrl-C.
     #[command(after_help = "\
@@ -241,6 +281,21 @@ Examples:
     /// Make a pair of keys that firmware is signed with.
     #[command(after_help = "Examples:\n  fleet update-key update.key")]
     UpdateKey(UpdateKey),
+
+    /// Explain a command or a topic: node, stop, trouble, gcode, service.
+    #[command(after_help = "Examples:\n  fleet help trouble\n  fleet help submit")]
+    Help(Help),
+
+    /// Print a script that completes this program's commands in a shell.
+    #[command(after_help = "\
+Examples:
+  fleet completions bash > /usr/share/bash-completion/completions/fleet
+  fleet completions fish > ~/.config/fish/completions/fleet.fish")]
+    Completions(Completions),
+
+    /// Print the manual page, with all commands.
+    #[command(after_help = "Examples:\n  fleet man > fleet.1 && man ./fleet.1")]
+    Man,
 
     /// Run a gateway and six emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
@@ -332,6 +387,24 @@ pub(crate) struct Doctor {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Check {
+    /// The program.
+    pub(crate) file: PathBuf,
+
+    /// The gateway's settings, of which the section [node.NAME] says what the machine is like.
+    #[arg(long, value_name = "FILE", env = "FLEET_CONFIG")]
+    pub(crate) config: Option<PathBuf>,
+
+    /// Whose machine [default: the only one there is].
+    #[arg(long, value_parser = node_id)]
+    pub(crate) node: Option<NodeId>,
+
+    /// Print the job in JSON that the node would get.
+    #[arg(long)]
+    pub(crate) commands: bool,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Init {
     /// Where; made if it is not there, and readable by you only.
     #[arg(value_name = "DIR")]
@@ -416,8 +489,16 @@ pub(crate) struct Submit {
     pub(crate) file: PathBuf,
 
     /// Node, or pattern with `*` or `$*`: a job for each node that is alive and matches.
-    #[arg(long, value_name = "PATTERN", value_parser = pattern, required_unless_present = "group")]
+    #[arg(long, value_name = "PATTERN", value_parser = pattern, required_unless_present_any = ["group", "label"])]
     pub(crate) node: Option<String>,
+
+    /// Label: a job for each node that has it and is alive (`fleet label`).
+    #[arg(long, conflicts_with_all = ["node", "group"], value_parser = group_id)]
+    pub(crate) label: Option<GroupId>,
+
+    /// With --label: all of them start at one instant.
+    #[arg(long, requires = "label")]
+    pub(crate) together: bool,
 
     /// Group: the file has a part for each of its nodes, and all start at one instant.
     #[arg(long, conflicts_with = "node", value_parser = group_id)]
@@ -431,9 +512,27 @@ pub(crate) struct Submit {
     #[arg(long, value_name = "FILE", conflicts_with = "group")]
     pub(crate) sign: Option<PathBuf>,
 
-    /// What the file is [default: by its extension; else JSON if it begins with `{`, Lua if not].
+    /// What the file is [default: by its extension
+    /// (.json, .lua, .gcode, .nc, .ngc, .tap); else JSON if it begins with `{`, Lua if not].
     #[arg(long, value_enum)]
     pub(crate) format: Option<Format>,
+
+    /// What stands for ${NAME} in the file; may be given several times. The file is a template then,
+    /// and each of its names needs a value.
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
+    pub(crate) settings: Vec<(String, String)>,
+
+    /// Among jobs that wait: -100 to 100, higher goes first.
+    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(i8).range(-100..=100))]
+    pub(crate) priority: Option<i8>,
+
+    /// Only when nothing else waits for the node.
+    #[arg(long, conflicts_with = "priority")]
+    pub(crate) when_idle: bool,
+
+    /// Not before this time, in UTC: 2026-11-22T03:00:00Z.
+    #[arg(long, value_name = "TIME", value_parser = instant)]
+    pub(crate) at: Option<keys::FleetMicros>,
 
     /// Wait until the job has ended, SECONDS at most if given; exit code 1 if it did not succeed.
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, value_parser = seconds)]
@@ -447,6 +546,8 @@ pub(crate) enum Format {
     Json,
     /// The script itself.
     Lua,
+    /// The common subset of GRBL, for one node whose machine is in the gateway's fleet.toml.
+    Gcode,
 }
 
 #[derive(Debug, Args)]
@@ -459,9 +560,87 @@ pub(crate) struct Jobs {
     #[arg(long, value_parser = node_id)]
     pub(crate) node: Option<NodeId>,
 
+    /// Print history for another program.
+    #[arg(long, value_enum, conflicts_with = "json")]
+    pub(crate) export: Option<Export>,
+
     /// Most jobs.
     #[arg(long, value_name = "COUNT", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1_000))]
     pub(crate) limit: u16,
+}
+
+/// How a list is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Export {
+    /// Comma-separated values with a line of heads (RFC 4180).
+    Csv,
+    /// One list of records.
+    Json,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Help {
+    /// A topic, or a command.
+    pub(crate) topic: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Completions {
+    /// For which shell.
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Trace {
+    /// The job.
+    #[arg(value_name = "JOB", value_parser = job_id)]
+    pub(crate) job: JobId,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Label {
+    /// Node, or pattern with `*` or `$*`; without labels: what to show.
+    #[arg(value_name = "NODE", default_value = "*", value_parser = pattern)]
+    pub(crate) node: String,
+
+    /// Labels to give.
+    #[arg(value_name = "LABEL", value_parser = group_id)]
+    pub(crate) labels: Vec<GroupId>,
+
+    /// Label to take away; may be given several times.
+    #[arg(long, value_name = "LABEL", value_parser = group_id)]
+    pub(crate) remove: Vec<GroupId>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Maintenance {
+    /// Node, or pattern with `*` or `$*`.
+    #[arg(value_name = "NODE", value_parser = pattern)]
+    pub(crate) node: String,
+
+    /// Why: whoever hands in a job is told.
+    #[arg(required_unless_present = "end", conflicts_with = "end")]
+    pub(crate) reason: Option<String>,
+
+    /// It takes jobs again.
+    #[arg(long)]
+    pub(crate) end: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Move {
+    /// The job that waits.
+    #[arg(value_name = "JOB", value_parser = job_id)]
+    pub(crate) job: JobId,
+
+    /// Right before this one, with its priority.
+    #[arg(long, value_name = "JOB", value_parser = job_id, required_unless_present = "priority")]
+    pub(crate) before: Option<JobId>,
+
+    /// -100 to 100, higher goes first.
+    #[arg(long, conflicts_with = "before", allow_negative_numbers = true, value_parser = clap::value_parser!(i8).range(-100..=100))]
+    pub(crate) priority: Option<i8>,
 }
 
 #[derive(Debug, Args)]
@@ -529,6 +708,23 @@ fn group_id(text: &str) -> Result<GroupId, String> {
 
 fn job_id(text: &str) -> Result<JobId, String> {
     JobId::new(text).map_err(|error| error.to_string())
+}
+
+fn setting(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
+    if name.is_empty()
+        || !name
+            .bytes()
+            .all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+    {
+        return Err("a name consists of letters, digits and _".to_owned());
+    }
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+fn instant(text: &str) -> Result<keys::FleetMicros, String> {
+    keys::FleetMicros::from_rfc3339(text)
+        .ok_or_else(|| "a time in UTC: 2026-11-22T03:00:00Z".into())
 }
 
 fn job_state() -> impl clap::builder::TypedValueParser<Value = JobState> {

@@ -219,11 +219,21 @@ impl Link {
         selector: &str,
         payload: Option<(Vec<u8>, Encoding)>,
     ) -> Result<Vec<Answer>, Failure> {
-        let answers = self.ask(selector, payload).await?;
+        self.get_with(selector, payload, None).await
+    }
+
+    /// As [`Link::get`], with an attachment.
+    pub(crate) async fn get_with(
+        &self,
+        selector: &str,
+        payload: Option<(Vec<u8>, Encoding)>,
+        attachment: Option<Vec<u8>>,
+    ) -> Result<Vec<Answer>, Failure> {
+        let answers = self.ask(selector, payload, attachment).await?;
         if answers.is_empty() {
             // A gateway answers for each job, if only that there is none.
             let probe = format!("{}/job/gateway", self.keys.prefix());
-            if self.ask(&probe, None).await?.is_empty() {
+            if self.ask(&probe, None, None).await?.is_empty() {
                 return Err(Failure::Connection(format!(
                     "no gateway answers: connected to {}, but nobody there serves the prefix `{}`",
                     self.connect,
@@ -239,6 +249,7 @@ impl Link {
         &self,
         selector: &str,
         payload: Option<(Vec<u8>, Encoding)>,
+        attachment: Option<Vec<u8>>,
     ) -> Result<Vec<Answer>, Failure> {
         // Without consolidation the order of the replies stays.
         let mut get = self
@@ -248,6 +259,9 @@ impl Link {
             .timeout(self.timeout);
         if let Some((payload, encoding)) = payload {
             get = get.payload(payload).encoding(encoding);
+        }
+        if let Some(attachment) = attachment {
+            get = get.attachment(attachment);
         }
         let replies = get.await?;
         let mut answers = Vec::new();

@@ -5,10 +5,13 @@
 
 mod args;
 mod backup;
+mod check;
 #[cfg(feature = "demo")]
 mod demo;
 mod follow;
+mod help;
 mod link;
+mod manage;
 mod pace;
 mod provision;
 mod secure;
@@ -17,6 +20,8 @@ mod show;
 mod sign;
 mod stop;
 mod submit;
+mod supervisor;
+mod trace;
 mod update;
 mod watch;
 
@@ -35,11 +40,15 @@ async fn main() -> ExitCode {
         Verb::Serve(_) => "info,zenoh=error",
         _ => "off",
     };
-    tracing_subscriber::fmt()
+    let log = tracing_subscriber::fmt()
         .with_env_filter(EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log)))
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .init();
+        .with_writer(std::io::stderr);
+    // The same variable for every command, so that a unit file sets it once.
+    match std::env::var("FLEET_LOG").as_deref() {
+        Ok("json") => log.json().init(),
+        _ => log.init(),
+    }
     match perform(&line.common, &line.verb).await {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
@@ -55,6 +64,13 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
     match verb {
         Verb::Serve(serve) => return serve::serve(common, serve).await,
         Verb::Config(config) => return serve::print_config(config),
+        Verb::Help(line) => return help::help(line),
+        Verb::Completions(line) => {
+            help::completions(line);
+            return Ok(());
+        }
+        Verb::Man => return help::man(),
+        Verb::Check(line) => return check::check(line, common.json),
         Verb::Init(init) => return secure::init(init, common.json),
         Verb::Users(users) => return secure::users(users, common.json),
         Verb::Keys(keys) => return secure::keys(keys, common.json),
@@ -74,6 +90,10 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Nodes => submit::nodes(&link, json).await,
         Verb::Submit(submit) => submit::submit(&link, submit, json).await,
         Verb::Jobs(jobs) => submit::jobs(&link, jobs, json).await,
+        Verb::Trace(line) => trace::trace(&link, &line.job, json).await,
+        Verb::Label(line) => manage::label(&link, line, json).await,
+        Verb::Maintenance(line) => manage::maintenance(&link, line, json).await,
+        Verb::Move(line) => manage::reorder(&link, line, json).await,
         Verb::Watch(watch) => watch::watch(&link, watch.seconds, json).await,
         Verb::Cancel(cancel) => submit::cancel(&link, &cancel.job, json).await,
         Verb::Stop(stop) => {
@@ -95,6 +115,10 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Update(line) => update::update(&link, line, json).await,
         Verb::Serve(_)
         | Verb::Config(_)
+        | Verb::Check(_)
+        | Verb::Help(_)
+        | Verb::Completions(_)
+        | Verb::Man
         | Verb::Init(_)
         | Verb::Users(_)
         | Verb::Keys(_)

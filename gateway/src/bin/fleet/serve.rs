@@ -3,23 +3,29 @@
 use crate::{
     args::{Common, Config, Serve},
     link::{Failure, credentials},
-    show,
+    show, supervisor,
 };
 use gateway::{
     bus::zenoh::BusError,
     config::GatewayConfig,
-    service::{self, Ready, ServiceError},
+    service::{self, Ready, Remaining, ServiceError},
     settings::{DEFAULTS, Settings},
 };
 
 /// `fleet serve`
 pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure> {
     let config = config(common, serve)?;
+    let reloads = supervisor::reloads(serve.config.clone());
     let joined = !config.connect.is_empty();
     let open = config.secure.is_none();
     let json = common.json;
     let ready = move |ready: Ready<'_>| {
-        let Ready { locators, http } = ready;
+        let Ready {
+            locators,
+            http,
+            observer,
+        } = ready;
+        supervisor::ready(&locators.join(", "), observer);
         if json {
             let ready = serde_json::json!({ "ready": true, "locators": locators, "http": http });
             show::line(&ready.to_string());
@@ -42,8 +48,15 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
             }
         }
     };
-    match service::run(config, ready, terminated()).await {
-        Ok(()) => Ok(()),
+    let until = async {
+        terminated().await;
+        supervisor::stopping();
+    };
+    match service::run(config, ready, until, reloads).await {
+        Ok(remaining) => {
+            farewell(remaining, json);
+            Ok(())
+        }
         Err(ServiceError::Bus(
             error @ (BusError::Locator(_) | BusError::Users { .. } | BusError::Secure(_)),
         )) => Err(Failure::Usage(error.to_string())),
@@ -52,6 +65,21 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
         }
         Err(error) => Err(Failure::Failed(Some(error.to_string()))),
     }
+}
+
+/// Says what is left undone.
+fn farewell(remaining: Remaining, json: bool) {
+    let Remaining { waiting, on_nodes } = remaining;
+    if json {
+        let line = serde_json::json!({ "ended": true, "waiting": waiting, "on_nodes": on_nodes });
+        return show::line(&line.to_string());
+    }
+    let jobs = |count: usize| if count == 1 { "job" } else { "jobs" };
+    show::line(&format!(
+        "the gateway has ended: {waiting} {} waiting, {on_nodes} {} on nodes; all are kept",
+        jobs(waiting),
+        jobs(on_nodes)
+    ));
 }
 
 /// `fleet config`

@@ -120,6 +120,40 @@ pub(crate) fn jobs_table<'r>(records: impl IntoIterator<Item = &'r JobRecord>) -
     table
 }
 
+/// Prints records as comma-separated values.
+pub(crate) fn csv(records: &[JobRecord]) {
+    line("job,node,group,state,created,updated,done,total,error,position");
+    for record in records {
+        let error = record.error.as_ref().map(ToString::to_string);
+        let result = record.result.as_ref();
+        let position = result.map(|result| positions(&result.position));
+        let fields = [
+            record.job.to_string(),
+            record.node.map(|node| node.to_string()).unwrap_or_default(),
+            record
+                .group
+                .map(|group| group.to_string())
+                .unwrap_or_default(),
+            record.state.to_string(),
+            record.created.to_string(),
+            record.updated.to_string(),
+            record.progress.done.to_string(),
+            record.progress.total.to_string(),
+            error.unwrap_or_default(),
+            position.unwrap_or_default(),
+        ];
+        line(&fields.map(|field| csv_field(&field)).join(","));
+    }
+}
+
+/// Quotes what a reader would take for more than one field (RFC 4180).
+fn csv_field(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) {
+        return format!("\"{}\"", text.replace('"', "\"\""));
+    }
+    text.to_owned()
+}
+
 fn whose(record: &JobRecord) -> String {
     match (record.node, record.group) {
         (Some(node), _) => node.to_string(),
@@ -195,6 +229,13 @@ mod tests {
             texts,
             ["0 s", "59 s", "1 min", "59 min", "1 h", "47 h", "2 d"]
         );
+    }
+
+    #[test]
+    fn a_field_that_looks_like_several_is_quoted() {
+        assert_eq!(csv_field("plain text"), "plain text");
+        assert_eq!(csv_field("[1, 2]"), "\"[1, 2]\"");
+        assert_eq!(csv_field("say \"no\"\n"), "\"say \"\"no\"\"\n\"");
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! `fleet submit`, `fleet jobs`, `fleet nodes`, `fleet cancel`: ask and print.
 
 use crate::{
-    args::{Format, Jobs, Submit},
+    args::{Export, Format, Jobs, Submit},
     follow::Follower,
     link::{Answer, Failure, Link, read},
-    show,
+    manage, show,
     sign::sign,
 };
 use keys::{
@@ -27,17 +27,28 @@ pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(
         }
         payload = sign(link, key, node, &payload).await?;
     }
+    if submit.together {
+        payload = manage::together(link, submit, &payload, &encoding).await?;
+        encoding = Encoding::APPLICATION_JSON;
+    }
+    let wishes = wishes(submit);
     let follower = match submit.wait {
         Some(_) => Some(Follower::new(link, !json).await?),
         None => None,
     };
     let prefix = link.keys().prefix();
-    let key = match (&submit.group, &submit.node) {
-        (Some(group), _) => link.keys().group_job(group).as_str().to_owned(),
-        (None, Some(node)) => format!("{prefix}/node/{node}/job"),
-        (None, None) => unreachable!("the command line needs one of them"),
+    let key = match (&submit.group, &submit.node, &submit.label) {
+        (Some(group), _, _) => link.keys().group_job(group).as_str().to_owned(),
+        (None, Some(node), _) => format!("{prefix}/node/{node}/job"),
+        (None, None, Some(label)) if submit.together => {
+            link.keys().group_job(label).as_str().to_owned()
+        }
+        (None, None, Some(label)) => format!("{prefix}/manage/label/{label}/job"),
+        (None, None, None) => unreachable!("the command line needs one of them"),
     };
-    let answers = link.get(&key, Some((payload, encoding))).await?;
+    let answers = link
+        .get_with(&key, Some((payload, encoding)), wishes)
+        .await?;
     let mut refused = answers.is_empty();
     if refused {
         eprintln!("fleet: no receipt for {key}");
@@ -89,6 +100,21 @@ pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(
     Ok(())
 }
 
+/// Returns the attachment that says how important a job is and when it may begin.
+fn wishes(submit: &Submit) -> Option<Vec<u8>> {
+    let mut wishes = serde_json::Map::new();
+    if let Some(priority) = submit.priority {
+        wishes.insert("priority".to_owned(), priority.into());
+    }
+    if submit.when_idle {
+        wishes.insert("when_idle".to_owned(), true.into());
+    }
+    if let Some(at) = submit.at {
+        wishes.insert("not_before".to_owned(), at.to_string().into());
+    }
+    (!wishes.is_empty()).then(|| serde_json::Value::from(wishes).to_string().into_bytes())
+}
+
 fn print_record(record: &JobRecord, json: bool) {
     if json {
         show::json_line(&keys::record::to_json(record));
@@ -126,6 +152,12 @@ fn read_job(submit: &Submit) -> Result<(Vec<u8>, Encoding), Failure> {
     if payload.iter().all(u8::is_ascii_whitespace) {
         return Err(usage(&"there is nothing in it"));
     }
+    if !submit.settings.is_empty() {
+        let text = String::from_utf8(payload).map_err(|error| usage(&error))?;
+        payload = fill_in(&text, &submit.settings)
+            .map_err(|error| usage(&error))?
+            .into_bytes();
+    }
     let format = submit.format.unwrap_or_else(|| format_of(file, &payload));
     match (format, &submit.id) {
         (Format::Lua, None) => Ok((payload, Encoding::from("text/x-lua"))),
@@ -134,6 +166,8 @@ fn read_job(submit: &Submit) -> Result<(Vec<u8>, Encoding), Failure> {
             let job = serde_json::json!({ "id": id, "lua": script });
             Ok((job.to_string().into_bytes(), Encoding::APPLICATION_JSON))
         }
+        (Format::Gcode, None) => Ok((payload, Encoding::from("text/x-gcode"))),
+        (Format::Gcode, Some(id)) => Ok((payload, Encoding::from(format!("text/x-gcode;id={id}")))),
         (Format::Json, None) => Ok((payload, Encoding::APPLICATION_JSON)),
         (Format::Json, Some(id)) => {
             let mut job: serde_json::Map<String, serde_json::Value> =
@@ -145,6 +179,26 @@ fn read_job(submit: &Submit) -> Result<(Vec<u8>, Encoding), Failure> {
     }
 }
 
+/// Puts values in the place of `${NAME}`.
+fn fill_in(template: &str, settings: &[(String, String)]) -> Result<String, String> {
+    let mut used = vec![false; settings.len()];
+    let mut out = String::with_capacity(template.len());
+    let mut rest = template;
+    while let Some((before, behind)) = rest.split_once("${") {
+        out += before;
+        let (name, behind) = behind.split_once('}').ok_or("`${` without `}`")?;
+        let index = settings.iter().position(|(known, _)| known == name);
+        let index = index.ok_or_else(|| format!("${{{name}}} has no value: --set {name}=…"))?;
+        out += &settings[index].1;
+        used[index] = true;
+        rest = behind;
+    }
+    match used.iter().position(|used| !used) {
+        Some(index) => Err(format!("there is no ${{{}}} in it", settings[index].0)),
+        None => Ok(out + rest),
+    }
+}
+
 fn is_stdin(file: &Path) -> bool {
     file.as_os_str() == "-"
 }
@@ -153,6 +207,7 @@ fn format_of(file: &Path, payload: &[u8]) -> Format {
     match file.extension().and_then(|extension| extension.to_str()) {
         Some("json") => Format::Json,
         Some("lua") => Format::Lua,
+        Some("gcode" | "nc" | "ngc" | "tap") => Format::Gcode,
         _ => match payload.iter().find(|byte| !byte.is_ascii_whitespace()) {
             Some(b'{') => Format::Json,
             _ => Format::Lua,
@@ -161,7 +216,7 @@ fn format_of(file: &Path, payload: &[u8]) -> Format {
 }
 
 /// Sorts answers into payloads and refusals, and prints the latter.
-fn accepted(answers: Vec<Answer>) -> (Vec<Vec<u8>>, bool) {
+pub(crate) fn accepted(answers: Vec<Answer>) -> (Vec<Vec<u8>>, bool) {
     let mut refused = false;
     let payloads = answers
         .into_iter()
@@ -177,7 +232,7 @@ fn accepted(answers: Vec<Answer>) -> (Vec<Vec<u8>>, bool) {
     (payloads, refused)
 }
 
-fn verdict(refused: bool) -> Result<(), Failure> {
+pub(crate) fn verdict(refused: bool) -> Result<(), Failure> {
     if refused {
         return Err(Failure::Failed(None));
     }
@@ -213,6 +268,17 @@ pub(crate) async fn jobs(link: &Link, jobs: &Jobs, json: bool) -> Result<(), Fai
         selector += &format!(";node={node}");
     }
     let (payloads, refused) = accepted(link.get(&selector, None).await?);
+    if let Some(export) = jobs.export {
+        let records: Vec<JobRecord> = payloads
+            .iter()
+            .map(|payload| read(payload))
+            .collect::<Result<_, _>>()?;
+        match export {
+            Export::Csv => show::csv(&records),
+            Export::Json => show::json_line(&keys::record::to_json(&records)),
+        }
+        return verdict(refused);
+    }
     if json {
         payloads.iter().for_each(|payload| show::json_line(payload));
     } else if payloads.is_empty() && !refused {
@@ -249,10 +315,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_template_is_filled_in_whole_or_not_at_all() {
+        let set = |pairs: &[(&str, &str)]| -> Vec<(String, String)> {
+            let owned = |(name, value): &(&str, &str)| ((*name).to_owned(), (*value).to_owned());
+            pairs.iter().map(owned).collect()
+        };
+        let depth = set(&[("d", "4"), ("x", "${d}")]);
+        let filled = fill_in("G1 Z-${d} X${x} ${d}", &depth);
+        assert_eq!(
+            filled.as_deref(),
+            Ok("G1 Z-4 X${d} 4"),
+            "a value is no template"
+        );
+        let error = |text: &str| fill_in(text, &depth).expect_err("not whole");
+        assert!(error("${d} ${x} ${y}").contains("--set y="));
+        assert!(error("${d}").contains("no ${x}"));
+        assert!(error("${d} ${x").contains("without"));
+    }
+
+    #[test]
     fn a_file_is_what_its_extension_says_and_else_what_it_looks_like() {
         let format = |file: &str, payload: &[u8]| format_of(Path::new(file), payload);
         assert_eq!(format("a.json", b"x"), Format::Json);
         assert_eq!(format("a.lua", b"{}"), Format::Lua);
+        assert_eq!(format("a.gcode", b"G0 X1"), Format::Gcode);
+        assert_eq!(format("a.nc", b"%"), Format::Gcode);
         assert_eq!(format("-", b" \n{}"), Format::Json);
         assert_eq!(format("-", b"motor.execute()"), Format::Lua);
         assert_eq!(format("-", b""), Format::Lua);

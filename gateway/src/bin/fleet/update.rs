@@ -138,7 +138,7 @@ async fn ask(
     for _ in 0..attempts {
         let payload = Some((bytes.clone(), Encoding::APPLICATION_OCTET_STREAM));
         // A get that nobody answers in time is an error; one that nobody hears ends at once.
-        if let Ok(answers) = link.ask(key.as_str(), payload).await
+        if let Ok(answers) = link.ask(key.as_str(), payload, None).await
             && let Some(Ok(answer)) = answers.into_iter().next()
         {
             return postcard::from_bytes(&answer).map_err(|_| {

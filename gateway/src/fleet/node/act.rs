@@ -13,7 +13,7 @@ use crate::{
     security::signing::Signed,
 };
 use keys::{
-    FleetMicros, NodeTopic, Order, Stop, StopMode,
+    FleetMicros, JobId, NodeTopic, Order, Stop, StopMode,
     batch::ORDER_BYTES_MAX,
     clock::{ClockMessage, ClockProbe},
     record::{ErrorCode, JobError, JobState, to_json},
@@ -50,6 +50,7 @@ impl Node {
             .stale_record
             .then(|| self.told_at.plus_us(config.node_record_us));
         let always = [silence, deadline, tell];
+        let next = self.next_at;
         let here = [
             self.facts.pending_stop.and(self.stop.send_at),
             self.facts.drop_queue.and(self.cancel.send_at),
@@ -59,6 +60,7 @@ impl Node {
             self.route.as_ref().and_then(Route::poll_timeout),
             self.pace_timeout(),
             Some(self.probe_at.unwrap_or(FleetMicros(0))),
+            next,
         ];
         let here = here.into_iter().filter(|_| self.alive);
         always.into_iter().chain(here).flatten().min()
@@ -183,11 +185,13 @@ impl Node {
             && !self.is_stopped()
             && self.facts.drop_queue.is_none()
             && self.status.is_some()
+            && self.facts.maintenance.is_none()
             && self.executed >= self.accepted;
+        self.next_at = None;
         if !open {
             return;
         }
-        while let Some(id) = self.waiting.pop_front() {
+        while let Some(id) = self.take_ready(turn) {
             let Some(job) = turn.book.part(&id, self.id) else {
                 continue;
             };
@@ -227,6 +231,22 @@ impl Node {
             self.route = Some(route.with_script(script).with_signature(signed));
             return;
         }
+    }
+
+    /// Takes the first job that waits and may begin.
+    fn take_ready(&mut self, turn: &Turn<'_>) -> Option<JobId> {
+        let mut first = None;
+        for (index, id) in self.waiting.iter().enumerate() {
+            let job = turn.book.part(id, self.id);
+            match job.and_then(|job| job.entry.turn.not_before) {
+                Some(at) if at > turn.now => {
+                    first = Some(first.map_or(at, |first: FleetMicros| first.min(at)));
+                }
+                _ => return self.waiting.remove(index),
+            }
+        }
+        self.next_at = first;
+        None
     }
 
     fn say_batches(&mut self, turn: &mut Turn<'_>) {
