@@ -293,7 +293,7 @@ pub struct Motion<'m, B: StepBackend> {
     /// What is planned from rest begins no earlier: a barrier was released for this instant.
     resume_at: Ticks,
     now: Ticks,
-    /// Earliest start: when the pins are quiet after a halt.
+    /// Earliest start: when the pins are quiet after a halt, and the last direction was held.
     quiet_at: Ticks,
     /// When the channels were started.
     started_at: Ticks,
@@ -704,10 +704,18 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             (Phase::Rest, _) => self.end_stop(),
             (Phase::Playing { .. }, StopMode::Decelerate) => self.decelerate(),
             (Phase::Playing { .. } | Phase::Decelerating, StopMode::Halt) => {
-                self.quiet_at = self.backend.halt(self.now);
+                self.halt_backend();
                 self.end_stop();
             }
         }
+    }
+
+    /// Halts the channels. What comes next may begin with a turn, and the last step's direction has
+    /// to be held before it.
+    fn halt_backend(&mut self) {
+        let timing = &self.timing[..self.axis_count];
+        let hold_ticks = timing.iter().map(|axis| axis.hold_ticks).max();
+        self.quiet_at = self.backend.halt(self.now).plus(hold_ticks.unwrap_or(0));
     }
 
     /// After [`MotionEvent::Stopped`]: the next queue begins, its counters at 0.

@@ -291,7 +291,7 @@ impl<B: StepBackend> Motion<'_, B> {
         };
         match mode {
             StopMode::Halt => {
-                self.quiet_at = self.backend.halt(self.now);
+                self.halt_backend();
                 self.planner.forget();
                 self.planned_steps[index] = self.backend.played_steps(axis);
                 self.phase = Phase::Playing { timeline: self.now };
