@@ -16,6 +16,7 @@
 
 pub mod campaign;
 pub mod gateway_process;
+pub mod memory;
 pub mod network;
 pub mod random;
 pub mod soak;
