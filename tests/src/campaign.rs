@@ -45,6 +45,8 @@ pub enum Happening {
     Disk,
     /// A node's crystal changes its rate, to anything within ±100 ppm.
     Drift,
+    /// A node's clock jumps ahead by up to 3 s, as after a long interrupt or a wrong register.
+    Jump,
     /// A client stops one node, or all.
     Stop,
     /// A client lifts a node's latch.
@@ -57,7 +59,7 @@ pub enum Happening {
 
 impl Happening {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Job,
         Self::Group,
         Self::Link,
@@ -69,6 +71,7 @@ impl Happening {
         Self::WallClock,
         Self::Disk,
         Self::Drift,
+        Self::Jump,
         Self::Stop,
         Self::Release,
         Self::Cancel,
@@ -231,6 +234,7 @@ pub fn run_told(seed: u64, mut tell: impl FnMut(u64, Happening, &str)) -> Outcom
                 let ppb = random.between(0, 200_000) as i64 - 100_000;
                 world.set_drift(node, ppb);
             }
+            Happening::Jump => world.jump_clock(node, random.between(1, 3_000) * MS),
             Happening::Stop => {
                 let mode = if random.below(2) == 0 {
                     StopMode::Halt

@@ -12,10 +12,13 @@
 //! seed always gives the same run. [`World::verdict`] compares what clients were told, what nodes
 //! took and what the pins did: no command lost, doubled or half-taken.
 //!
-//! Start with `campaign.rs` for a run, `network.rs` for what can go wrong on the way.
+//! Start with `campaign.rs` for a run, `network.rs` for what can go wrong on the way. What needs real
+//! processes and sockets is in `field.rs`.
 
 pub mod campaign;
+pub mod field;
 pub mod gateway_process;
+pub mod memory;
 pub mod network;
 pub mod random;
 pub mod soak;

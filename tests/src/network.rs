@@ -113,14 +113,15 @@ impl Faults {
         reorder_per_mille: 0,
     };
 
-    /// A bad link as a seed draws it: up to 30 ms on the way, some messages doubled or overtaken.
+    /// A bad link as a seed draws it: up to 30 ms on the way, some messages lost, doubled or
+    /// overtaken.
     pub fn drawn(random: &mut Random) -> Self {
         Self {
             delay: Delay::Uniform {
                 us_min: 200,
                 us_max: random.between(300, 30_000),
             },
-            lose_per_mille: 0,
+            lose_per_mille: random.below(20),
             duplicate_per_mille: random.below(50),
             reorder_per_mille: random.below(20),
         }

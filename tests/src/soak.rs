@@ -5,7 +5,7 @@
 //! job has its end, each node is where its pulse counter says, clocks are known.
 
 use crate::{
-    Random, World,
+    Random, World, memory,
     world::{MS, S},
 };
 use emulator::{EmulatorConfig, Recording};
@@ -91,7 +91,7 @@ pub fn run(nodes: usize, hours: u64, seed: u64, mut told: impl FnMut(Hour)) {
         rest(&mut world);
         hour.succeeded = judge(&world, &names);
         world.forget_ended();
-        hour.resident_kib = resident_kib();
+        hour.resident_kib = memory::resident_kib();
         told(hour);
     }
 }
@@ -147,12 +147,4 @@ fn judge(world: &World, names: &[String]) -> u64 {
         assert!(record.clock.is_some(), "{record:?}");
     }
     succeeded
-}
-
-/// Resident memory of this process, from the system's table of pages.
-fn resident_kib() -> u64 {
-    let table = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = table.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    let number = line.and_then(|line| line.split_whitespace().next()?.parse().ok());
-    number.unwrap_or(0)
 }

@@ -350,6 +350,12 @@ impl World {
         machine.clock.set_drift(self.now_us, drift_ppb);
     }
 
+    /// Lets a node's clock jump ahead: to the node this much time has passed at once.
+    pub fn jump_clock(&mut self, node: &str, ahead_us: u64) {
+        let machine = self.machines.get_mut(&NodeId::new(node).expect("legal"));
+        machine.expect("a node").clock.jump(self.now_us, ahead_us);
+    }
+
     /// Lets the gateway's next write fail: the disk is full. It ends then, and starts again with
     /// room on the disk.
     pub fn fill_disk(&mut self) {

@@ -162,7 +162,7 @@ pub struct Motion<'m, B: StepBackend> {
     /// What is planned from rest begins no earlier: a barrier was released for this instant.
     resume_at: Ticks,
     now: Ticks,
-    /// Earliest start: when the pins are quiet after a halt.
+    /// Earliest start: when the pins are quiet after a halt, and the last direction was held.
     quiet_at: Ticks,
     /// When the channels were started.
     started_at: Ticks,

@@ -18,6 +18,7 @@ use std::{
 };
 use tests::{
     campaign::{self, Outcome},
+    memory,
     soak::{self, Hour},
 };
 
@@ -95,11 +96,23 @@ fn scenarios(from: u64, count: u64, threads: Option<usize>) -> ExitCode {
     let begun = Instant::now();
     let next = AtomicU64::new(from);
     let all = Mutex::new((Outcome::default(), Vec::new()));
+    // Each scenario begins with nothing, so memory is that of the largest one, however many there
+    // are: told with the progress, so that somebody can see it.
+    let tell = (count / 20).max(1_000);
     let work = || {
         loop {
             let seed = next.fetch_add(1, Ordering::Relaxed);
             if seed >= from + count {
                 return;
+            }
+            let done = seed - from;
+            if done > 0 && done.is_multiple_of(tell) {
+                let rate = done as f64 / begun.elapsed().as_secs_f64();
+                println!(
+                    "{done:>9}  {rate:>6.1}/s  {:>8} KiB",
+                    memory::resident_kib()
+                );
+                let _ = io::stdout().flush();
             }
             let outcome = panic::catch_unwind(|| campaign::run(seed));
             let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
@@ -118,8 +131,9 @@ fn scenarios(from: u64, count: u64, threads: Option<usize>) -> ExitCode {
         }
     });
     let (outcome, failed) = all.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let seconds = begun.elapsed().as_secs();
-    println!("{count} scenarios in {seconds} s: {outcome}");
+    let seconds = begun.elapsed().as_secs_f64();
+    let rate = count as f64 / seconds;
+    println!("{count} scenarios in {seconds:.0} s ({rate:.1}/s): {outcome}");
     if failed.is_empty() {
         println!("nothing lost, nothing doubled, every job has its end");
         ExitCode::SUCCESS

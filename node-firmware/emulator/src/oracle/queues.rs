@@ -325,6 +325,11 @@ impl Judge<'_> {
         }
         if let Some(anchor) = anchor.as_mut() {
             let ticks = ticks_of(&taken.command);
+            // No edge tells when it began: the queue may have been dry before it.
+            let ahead = taken.at.0 * TICKS_PER_US + self.limits.ahead_ticks;
+            if runs.is_empty() && ahead as f64 > anchor.due.low {
+                anchor.due.high = f64::INFINITY;
+            }
             anchor.due.low += ticks as f64;
             anchor.due.high += ticks as f64;
             anchor.timeless += u32::from(ticks == 0);

@@ -140,7 +140,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.settle_drives();
         match (self.phase, mode) {
             (Phase::Playing { .. }, StopMode::Halt) => {
-                self.quiet_at = self.backend.halt(self.now);
+                self.halt_backend();
                 self.planner.forget();
                 self.phase = Phase::Playing { timeline: self.now };
                 for axis in 0..self.axis_count {

@@ -50,10 +50,18 @@ impl<B: StepBackend> Motion<'_, B> {
             (Phase::Rest, _) => self.end_stop(),
             (Phase::Playing { .. }, StopMode::Decelerate) => self.decelerate(),
             (Phase::Playing { .. } | Phase::Decelerating, StopMode::Halt) => {
-                self.quiet_at = self.backend.halt(self.now);
+                self.halt_backend();
                 self.end_stop();
             }
         }
+    }
+
+    /// Halts the channels. What comes next may begin with a turn, and the last step's direction has
+    /// to be held before it.
+    pub(super) fn halt_backend(&mut self) {
+        let timing = &self.timing[..self.axis_count];
+        let hold_ticks = timing.iter().map(|axis| axis.hold_ticks).max();
+        self.quiet_at = self.backend.halt(self.now).plus(hold_ticks.unwrap_or(0));
     }
 
     /// After [`MotionEvent::Stopped`]: the next queue begins, its counters at 0.

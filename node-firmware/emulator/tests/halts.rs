@@ -1,0 +1,51 @@
+//! What follows a halt at once: a driver that needs the direction to be held after the last step
+//! gets it, whatever the next queue begins with.
+
+use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle};
+use keys::{
+    AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, Order, StopMode,
+    batch::{BatchWriter, ORDER_BYTES_MAX},
+};
+
+fn give(node: &mut EmulatedNode, steps: i32, now: LocalMicros) {
+    let mut writer = BatchWriter::new();
+    assert!(writer.push(&Command::Move {
+        axis: AxisId(0),
+        delay_us: 10,
+        steps,
+    }));
+    let header = BatchHeader {
+        queue: node.status().queue,
+        first_command: 0,
+        command_count: 0,
+        job: JobId::new("j").expect("legal"),
+        job_end: 1,
+    };
+    let mut buffer = [0; ORDER_BYTES_MAX];
+    let bytes = writer.finish(header, &mut buffer).expect("room");
+    node.handle(NodeTopic::Batch, bytes, now);
+}
+
+#[test]
+fn a_queue_that_begins_at_once_behind_a_halt_turns_no_sooner_than_the_driver_allows() {
+    for halt_us in 2_000..2_020 {
+        let mut config = EmulatorConfig::new(NodeId::new("bench").expect("legal"));
+        config.record = Recording::Edges { max: 100_000 };
+        let mut node = EmulatedNode::new(config, 7);
+        give(&mut node, -1_000, LocalMicros(1_000));
+        let at = LocalMicros(halt_us);
+        let order = Order::Cancel {
+            queue: node.status().queue,
+            mode: StopMode::Halt,
+        };
+        let mut buffer = [0; 64];
+        let cancel = keys::version::encode(&order, &mut buffer).expect("room");
+        node.handle(NodeTopic::Batch, cancel, at);
+        give(&mut node, 100, at);
+        node.poll(LocalMicros(1_000_000));
+        if let Err(violations) = oracle::check_life(&node.life()) {
+            let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
+            panic!("halted at {halt_us} µs: {}", lines.join("; "));
+        }
+    }
+}

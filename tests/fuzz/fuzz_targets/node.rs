@@ -1,0 +1,4 @@
+//! See `fuzz::node`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz::node::check(data));
