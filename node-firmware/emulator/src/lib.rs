@@ -21,6 +21,7 @@ pub mod pins;
 pub mod pulse;
 pub mod record;
 pub mod vcd;
+pub mod verdict;
 pub mod wall;
 pub mod wiring;
 
