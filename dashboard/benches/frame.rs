@@ -8,7 +8,7 @@
 //! Measured is our own part: messages into the model, the panels, and egui's tessellation. What the
 //! graphics card or its software stand-in adds is not.
 
-#[path = "../tests/fixture/mod.rs"]
+#[path = "../tests/window/fixture.rs"]
 mod fixture;
 
 use criterion::{Criterion, criterion_group, criterion_main};

@@ -3,7 +3,6 @@
 
 use crate::{
     files::Files,
-    job_files,
     keyboard::{self, Action},
     link::Link,
     message::{Message, Moment},
@@ -11,6 +10,7 @@ use crate::{
     panels,
     recording::{replay::Replay, session::Session},
     request::{Request, Requests, Scope, Ticket},
+    sound::Sound,
     theme,
     view::{Tab, View},
 };
@@ -40,6 +40,8 @@ pub struct Dashboard {
     pub files: Files,
     /// What is recorded and shown again.
     pub session: Session,
+    /// What is heard of alarms, if that is wanted.
+    pub sound: Sound,
 }
 
 impl Dashboard {
@@ -54,9 +56,14 @@ impl Dashboard {
             requests,
             files,
             session,
+            sound,
         } = self;
         panels::composer::take_dropped(ui, view);
-        files.serve(ui.ctx(), model, session, view);
+        let now = model.now();
+        for message in files.serve(ui.ctx(), model, session, view) {
+            session.heard(now, &message);
+            model.apply(now, message);
+        }
         Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
@@ -74,7 +81,7 @@ impl Dashboard {
             .default_size(230.0)
             .min_size(90.0)
             .show(ui, |ui| {
-                lower_ui(ui, model, session, view, requests);
+                lower_ui(ui, model, session, sound, view, requests);
                 // Else the panel would shrink to what is in it.
                 ui.take_available_space();
             });
@@ -96,7 +103,7 @@ impl Dashboard {
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
         panels::composer::open_dropped(view, requests);
-        panels::alarms::call_for_attention(ui, model, view);
+        panels::alarms::call(ui, &self.model, &mut self.view, &mut self.sound);
     }
 
     /// Does what a key says.
@@ -115,6 +122,7 @@ impl Dashboard {
                 view.composer.target_nodes(&view.selection);
             }
             Action::Alarms => view.tab = Tab::Alarms,
+            Action::Timeline => view.tab = Tab::Timeline,
             Action::Log => view.tab = Tab::Log,
             Action::Close => {
                 if view.help_open {
@@ -157,6 +165,11 @@ impl Dashboard {
                     target: target.to_string(),
                     payload: text.clone(),
                 },
+                Request::Order { node, order } => Message::OrderAsked {
+                    ticket,
+                    node: *node,
+                    order: *order,
+                },
                 Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
                 Request::Cancel { .. }
                 | Request::Refresh
@@ -180,6 +193,7 @@ fn lower_ui(
     ui: &mut Ui,
     model: &Model,
     session: &Session,
+    sound: &mut Sound,
     view: &mut View,
     requests: &mut Requests,
 ) {
@@ -193,7 +207,8 @@ fn lower_ui(
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
         Tab::GroupJob => panels::group_job::group_job_ui(ui, model, view, requests),
-        Tab::Alarms => panels::alarms::alarms_ui(ui, model, view, requests),
+        Tab::Alarms => panels::alarms::alarms_ui(ui, model, sound, view, requests),
+        Tab::Timeline => panels::timeline::timeline_ui(ui, model, view),
         Tab::Log => panels::log::log_ui(ui, model, view),
         Tab::Pulses => panels::pulses::pulses_ui(ui, view),
         Tab::Recording => panels::recording::recording_ui(ui, session, view),
@@ -236,8 +251,7 @@ impl eframe::App for App {
             ui.ctx().request_repaint();
         }
         for (ticket, request) in asked {
-            let ear = self.link.ear();
-            let is_file = job_files::begin(ticket, &request, move |message| ear.push(message));
+            let is_file = self.dashboard.files.ask(ui.ctx(), ticket, &request);
             if !is_file && !request.is_local() {
                 self.link.ask(ticket, request);
             }

@@ -1,8 +1,10 @@
 //! Files that the operator reads and writes: on a thread of their own each, so that the window
-//! draws on. Panels say what they want in their views; [`Files::serve`] does it once a frame.
+//! draws on. What belongs to a panel alone is a wish in its view, and [`Files::serve`] does it once
+//! a frame; what the model shall know is a request, and [`Files::ask`] does it.
 
 use crate::{
     export,
+    message::{FileOutcome, Message},
     model::{
         Model,
         capture::{self, Capture},
@@ -12,6 +14,7 @@ use crate::{
         self, Recording,
         session::{Session, Wish},
     },
+    request::{Request, Ticket},
     view::View,
 };
 use keys::FleetMicros;
@@ -37,6 +40,8 @@ enum Done {
     Recording(String, Result<Recording, String>),
     /// A plot was written to this file.
     Export(Result<String, String>),
+    /// What was asked for by a request.
+    Asked(Ticket, FileOutcome),
 }
 
 /// See the module.
@@ -58,14 +63,15 @@ impl Default for Files {
 }
 
 impl Files {
-    /// Begins what the panels want and hands over what is done.
+    /// Begins what the panels want and hands over what is done. Returns what the model is to be
+    /// told.
     pub fn serve(
         &mut self,
         ctx: &egui::Context,
         live: &Model,
         session: &mut Session,
         view: &mut View,
-    ) {
+    ) -> Vec<Message> {
         for file in ctx.input(|input| input.raw.dropped_files.clone()) {
             let path = file.path();
             if is_capture(path) {
@@ -115,6 +121,7 @@ impl Files {
             None => {}
         }
         self.works.retain(|work| !work.is_finished());
+        let mut told = Vec::new();
         while let Ok(done) = self.results.try_recv() {
             match done {
                 Done::Capture(path, capture) => view.pulses.opened(path, capture),
@@ -124,8 +131,30 @@ impl Files {
                     view.selection.clear();
                     view.stop.releasing = None;
                 }
+                Done::Asked(ticket, outcome) => told.push(Message::File { ticket, outcome }),
             }
         }
+        told
+    }
+
+    /// Begins what a request about a file asks for. Returns whether it was one.
+    pub fn ask(&mut self, ctx: &egui::Context, ticket: Ticket, request: &Request) -> bool {
+        let begun = match request {
+            Request::ReadFile { path } => {
+                let path = path.clone();
+                self.begin(ctx, move || Done::Asked(ticket, read_job(&path)))
+            }
+            Request::WriteFile { path, text } => {
+                let (path, text) = (path.clone(), text.clone());
+                self.begin(ctx, move || Done::Asked(ticket, write_job(&path, &text)))
+            }
+            _ => return false,
+        };
+        if let Err(why) = begun {
+            let failed = Done::Asked(ticket, FileOutcome::Failed(why));
+            self.of_works.send(failed).expect("this end is kept too");
+        }
+        true
     }
 
     /// Makes a file of a plot, if that is wanted.
@@ -201,6 +230,30 @@ pub fn is_capture(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension
         .is_some_and(|extension| matches!(extension.to_ascii_lowercase().as_str(), "vcd" | "csv"))
+}
+
+/// Reads a job's text.
+fn read_job(path: &str) -> FileOutcome {
+    match read_text(Path::new(path), keys::job::JOB_BYTES_MAX as u64) {
+        Err(why) => FileOutcome::Failed(format!("{path}: {why}")),
+        Ok(text) => FileOutcome::Read {
+            path: path.to_owned(),
+            text,
+        },
+    }
+}
+
+/// Writes a new file and tells its name in full.
+fn write_job(path: &str, text: &str) -> FileOutcome {
+    match write_new(Path::new(path), text.as_bytes()) {
+        Err(why) => FileOutcome::Failed(why),
+        Ok(path) => {
+            let full = std::fs::canonicalize(&path).map(|full| full.display().to_string());
+            FileOutcome::Written {
+                path: full.unwrap_or(path),
+            }
+        }
+    }
 }
 
 /// Writes a file that does not exist yet and returns its name.

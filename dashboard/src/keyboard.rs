@@ -18,6 +18,8 @@ pub enum Action {
     Compose,
     /// Show the alarms.
     Alarms,
+    /// Show what the nodes did over time.
+    Timeline,
     /// Show the log.
     Log,
     /// Close what is open: help, the question before a release, the node's page.
@@ -38,7 +40,7 @@ enum Stroke {
 }
 
 /// Action, stroke, the stroke's name, what it does.
-const TABLE: [(Action, Stroke, &str, &str); 11] = [
+const TABLE: [(Action, Stroke, &str, &str); 12] = [
     (
         Action::StopAll,
         Stroke::Key(Modifiers::NONE, Key::F1),
@@ -81,6 +83,12 @@ const TABLE: [(Action, Stroke, &str, &str); 11] = [
         Stroke::Key(Modifiers::COMMAND, Key::M),
         "Ctrl+M",
         "show the alarms",
+    ),
+    (
+        Action::Timeline,
+        Stroke::Key(Modifiers::COMMAND, Key::T),
+        "Ctrl+T",
+        "show what the nodes did over time",
     ),
     (
         Action::Log,

@@ -12,6 +12,7 @@
 
 pub mod inbox;
 mod perform;
+mod refusal;
 mod session;
 
 use crate::{
@@ -139,11 +140,6 @@ impl Link {
     /// Returns the present.
     pub fn now(&self) -> Moment {
         self.clock.now()
-    }
-
-    /// Returns the way for what this computer itself has to tell.
-    pub fn ear(&self) -> Arc<Inbox> {
-        Arc::clone(&self.inbox)
     }
 
     /// Hands a request over and returns at once. The answer comes with what is heard.

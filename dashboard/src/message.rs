@@ -1,6 +1,6 @@
 //! Everything that can happen to the model, as the link heard it or the operator asked it.
 
-use crate::request::{Language, Scope, Ticket};
+use crate::request::{Language, Order, Scope, Ticket};
 use keys::{
     JobId, NodeId, Status, StopMode,
     record::{JobError, JobRecord, NodeRecord, Receipt},
@@ -95,6 +95,15 @@ pub enum Message {
         payload: String,
         /// In which language.
         language: Language,
+    },
+    /// The operator asked for a change of a node's motion.
+    OrderAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// Whose.
+        node: NodeId,
+        /// What.
+        order: Order,
     },
     /// What became of a request about a file.
     File {

@@ -11,11 +11,13 @@
 pub mod alarms;
 pub mod capture;
 pub mod effort;
+pub mod history;
 pub mod jobs;
 pub mod limits;
 pub mod link;
 pub mod log;
 pub mod node;
+pub mod orders;
 pub mod ring;
 pub mod select;
 
@@ -33,6 +35,7 @@ use keys::{
 use link::LinkState;
 use log::{Log, Source};
 use node::{Concern, Node};
+use orders::Orders;
 use select::Pattern;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -46,6 +49,7 @@ pub struct Model {
     jobs: Jobs,
     log: Log,
     efforts: VecDeque<Effort>,
+    orders: Orders,
     file: Option<(Ticket, FileOutcome)>,
     alarms: Alarms,
     alarms_checked: Moment,
@@ -131,6 +135,17 @@ impl Model {
                 payload,
                 language,
             } => self.jobs.asked(ticket, target, payload, language, at),
+            Message::OrderAsked {
+                ticket,
+                node,
+                order,
+            } => {
+                let words = format!("{order} asked for {node}");
+                self.log.push(at, Source::Window, words);
+                if self.nodes.contains_key(&node) {
+                    self.orders.asked(at, ticket, node, order);
+                }
+            }
             Message::Answer { ticket, answer } => self.answer(at, ticket, answer),
             Message::File { ticket, outcome } => self.file = Some((ticket, outcome)),
             Message::Acknowledged { alarm } => self.alarms.acknowledge(at, alarm),
@@ -144,7 +159,8 @@ impl Model {
         if self.now.since_s(self.alarms_checked) >= limits::ALARMS_EVERY_S {
             self.alarms_checked = self.now;
             if self.link.is_up() {
-                for node in self.nodes.values() {
+                for node in self.nodes.values_mut() {
+                    node.look(self.now);
                     self.alarms.check(self.now, node);
                 }
             }
@@ -190,6 +206,11 @@ impl Model {
     /// Returns stops and releases, the latest first.
     pub fn efforts(&self) -> impl Iterator<Item = &Effort> {
         self.efforts.iter().rev()
+    }
+
+    /// Returns what was asked of the nodes' motion.
+    pub fn orders(&self) -> &Orders {
+        &self.orders
     }
 
     /// Returns what became of a request about a file, if it was the last of them.
@@ -268,6 +289,13 @@ impl Model {
     }
 
     fn link_event(&mut self, at: Moment, event: LinkEvent) {
+        for node in self.nodes.values_mut() {
+            match event {
+                LinkEvent::Down { .. } => node.unheard(at),
+                LinkEvent::Connected { .. } => node.listen(at),
+                LinkEvent::Connecting { .. } | LinkEvent::Gateway { .. } => {}
+            }
+        }
         if let Some(words) = self.link.apply(at, event) {
             self.log.push(at, Source::Window, words);
         }
@@ -346,7 +374,9 @@ impl Model {
             self.log
                 .push(at, Source::Window, format!("refused: {refusal}"));
         }
-        self.jobs.answer(ticket, answer);
+        if !self.orders.answer(ticket, &answer) {
+            self.jobs.answer(ticket, answer);
+        }
     }
 }
 

@@ -2,11 +2,11 @@
 
 pub mod alarms;
 pub mod composer;
+mod editor;
 pub mod fleet;
 pub mod group_job;
 pub mod groups;
 pub mod help;
-mod highlight;
 pub mod jobs;
 pub mod log;
 pub mod node;
@@ -16,4 +16,6 @@ pub mod pulses;
 pub mod recording;
 pub mod release;
 pub mod stop;
+mod table;
+pub mod timeline;
 pub mod top;

@@ -81,6 +81,41 @@ pub enum Language {
     Lua,
 }
 
+/// What a node's motion shall do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Order {
+    /// Come to rest on the path, and keep the place in it.
+    Hold,
+    /// Go on from there.
+    Resume,
+    /// Run ramps and lines at this share of their speed, percent: [`Order::PERCENT`].
+    Speed(u16),
+}
+
+impl Order {
+    /// What a speed may be, percent. The drivers' own limits hold too.
+    pub const PERCENT: std::ops::RangeInclusive<u16> = 1..=400;
+
+    /// Returns the end of the key and the payload.
+    pub fn message(self) -> (&'static str, String) {
+        match self {
+            Self::Hold => ("hold", String::new()),
+            Self::Resume => ("resume", String::new()),
+            Self::Speed(percent) => ("speed", format!("{{\"percent\":{percent}}}")),
+        }
+    }
+}
+
+impl std::fmt::Display for Order {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Hold => f.write_str("hold"),
+            Self::Resume => f.write_str("resume"),
+            Self::Speed(percent) => write!(f, "speed {percent} %"),
+        }
+    }
+}
+
 /// What the operator asks for.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Request {
@@ -109,6 +144,13 @@ pub enum Request {
     Cancel {
         /// Which.
         job: JobId,
+    },
+    /// Change a node's motion.
+    Order {
+        /// Whose.
+        node: NodeId,
+        /// How.
+        order: Order,
     },
     /// Read a job's text from a file of this computer.
     ReadFile {

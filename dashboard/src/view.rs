@@ -6,7 +6,7 @@
 use crate::panels::{
     alarms::AlarmsView, composer::ComposerView, fleet::FleetView, group_job::GroupJobView,
     jobs::JobsView, log::LogView, node::NodeView, pulses::PulsesView, recording::RecordingView,
-    stop::StopView,
+    stop::StopView, timeline::TimelineView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -24,6 +24,8 @@ pub enum Tab {
     GroupJob,
     /// What needed somebody.
     Alarms,
+    /// What the nodes did over time.
+    Timeline,
     /// Lines of text.
     Log,
     /// Recorded pins.
@@ -34,11 +36,12 @@ pub enum Tab {
 
 impl Tab {
     /// Every tab, as shown.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Jobs,
         Self::Compose,
         Self::GroupJob,
         Self::Alarms,
+        Self::Timeline,
         Self::Log,
         Self::Pulses,
         Self::Recording,
@@ -51,6 +54,7 @@ impl Tab {
             Self::Compose => "Compose",
             Self::GroupJob => "Group job",
             Self::Alarms => "Alarms",
+            Self::Timeline => "Timeline",
             Self::Log => "Log",
             Self::Pulses => "Pulses",
             Self::Recording => "Recording",
@@ -90,6 +94,8 @@ pub struct View {
     pub group_job: GroupJobView,
     /// The list of alarms.
     pub alarms: AlarmsView,
+    /// The lanes of the nodes.
+    pub timeline: TimelineView,
     /// The log.
     pub log: LogView,
 }

@@ -8,34 +8,23 @@
 //!
 //! Every wait is for something that the model shows; a deadline ends only a test that fails.
 
+mod operator;
+
 use dashboard::{
-    app::Dashboard,
-    link::{Clock, Link, LinkConfig, Place},
     message::Answer,
-    model::Model,
-    request::{Language, Request, Scope, Target, Ticket},
+    model::{Model, effort::Sending, node::Concern},
+    request::{Request, Scope},
 };
 use emulator::{EmulatedHandle, EmulatorConfig};
 use gateway::{config::GatewayConfig, service::Service};
 use keys::{
-    JobId, Keys, NodeId, StopMode,
+    JobId, NodeId, StopMode,
     record::{JobState, NodeWord},
 };
-use std::{
-    sync::mpsc,
-    time::{Duration, Instant},
-};
-
-/// Far more than anything here takes; only a failure waits so long.
-const PATIENCE: Duration = Duration::from_secs(120);
-
-/// Without news the model's time must go on too: ages are part of what it shows.
-const TICK: Duration = Duration::from_millis(100);
+use operator::{Operator, answer};
 
 struct Bench {
-    dashboard: Dashboard,
-    link: Link,
-    news: mpsc::Receiver<()>,
+    operator: Operator,
     nodes: Vec<EmulatedHandle>,
     service: Option<Service>,
     locator: String,
@@ -66,20 +55,8 @@ impl Bench {
             };
             emulator::spawn(config).expect("a node")
         });
-        let (wake, news) = mpsc::sync_channel(1);
-        let config = LinkConfig {
-            place: Place::At(locator.clone()),
-            keys: Keys::default(),
-            credentials: None,
-        };
-        let wake = move || {
-            // One that waits is enough.
-            let _ = wake.try_send(());
-        };
         Self {
-            dashboard: Dashboard::default(),
-            link: Link::spawn(config, Clock::start(), wake).expect("a thread"),
-            news,
+            operator: Operator::at(&locator, None),
             nodes: nodes.into_iter().collect(),
             service: Some(service),
             locator,
@@ -87,46 +64,8 @@ impl Bench {
         }
     }
 
-    fn listen(&mut self) {
-        // Either there is news, or time has passed; both are looked at.
-        let _ = self.news.recv_timeout(TICK);
-        for (at, message) in self.link.heard() {
-            self.dashboard.model.apply(at, message);
-        }
-        self.dashboard.model.tick(self.link.now());
-    }
-
-    /// Listens until the model shows it.
-    fn until(&mut self, what: &str, shows: impl Fn(&Model) -> bool) {
-        let began = Instant::now();
-        while !shows(&self.dashboard.model) {
-            if began.elapsed() > PATIENCE {
-                let lines = self.dashboard.model.log().lines().iter();
-                let lines: Vec<_> = lines.map(|line| line.text.as_str()).collect();
-                panic!("never: {what}\n{}", lines.join("\n"));
-            }
-            tokio::task::block_in_place(|| self.listen());
-        }
-    }
-
-    fn ask(&mut self, request: Request) -> Ticket {
-        let ticket = self.dashboard.requests.push(request);
-        for (ticket, request) in self.dashboard.take_requests(self.link.now()) {
-            self.link.ask(ticket, request);
-        }
-        ticket
-    }
-
-    fn submit(&mut self, target: &str, text: &str) -> Ticket {
-        self.ask(Request::Submit {
-            target: Target::Node(target.to_owned()),
-            language: Language::Json,
-            text: text.to_owned(),
-        })
-    }
-
     async fn end(self) {
-        tokio::task::block_in_place(|| drop(self.link));
+        self.operator.leave();
         for node in self.nodes {
             node.shutdown().await;
         }
@@ -148,56 +87,60 @@ fn all(model: &Model, word: NodeWord) -> bool {
     })
 }
 
-fn receipts(model: &Model, ticket: Ticket) -> Option<&Answer> {
-    let mut sent = model.jobs().sent();
-    let sent = sent.find(|sent| sent.ticket == ticket)?;
-    sent.answer.as_ref()
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
     let mut bench = Bench::start().await;
-    bench.until("the gateway answers", |model| {
+    bench.operator.until("the gateway answers", |model| {
         model.link().gateway() == Some(true)
     });
-    bench.until("three idle nodes", |model| all(model, NodeWord::Idle));
+    bench
+        .operator
+        .until("three idle nodes", |model| all(model, NodeWord::Idle));
 
     let job = r#"{"id":"first","commands":[{"move":{"axis":0,"delay_us":100,"steps":500}}]}"#;
-    let ticket = bench.submit("left", job);
-    bench.until("a receipt", |model| receipts(model, ticket).is_some());
-    let accepted = receipts(&bench.dashboard.model, ticket).map(Answer::jobs);
+    let ticket = bench.operator.submit("left", job);
+    bench
+        .operator
+        .until("a receipt", |model| answer(model, ticket).is_some());
+    let accepted = answer(bench.operator.model(), ticket).map(Answer::jobs);
     assert_eq!(accepted, Some(vec![JobId::new("first").expect("a name")]));
-    bench.until("succeeded", |model| {
+    bench.operator.until("succeeded", |model| {
         state(model, "first") == Some(JobState::Succeeded)
     });
     let left = NodeId::new("left").expect("a name");
-    bench.until("the node's own word", |model| {
+    bench.operator.until("the node's own word", |model| {
         let node = model.node(&left).expect("known");
         node.positions_steps().first() == Some(&500)
     });
 
-    let ticket = bench.submit("left", r#"{"commands":[{"jump":{}}]}"#);
-    bench.until("a refusal", |model| receipts(model, ticket).is_some());
-    match receipts(&bench.dashboard.model, ticket) {
+    let ticket = bench
+        .operator
+        .submit("left", r#"{"commands":[{"jump":{}}]}"#);
+    bench
+        .operator
+        .until("a refusal", |model| answer(model, ticket).is_some());
+    match answer(bench.operator.model(), ticket) {
         Some(Answer::Receipts(receipts)) => assert!(receipts[0].is_err()),
         answer => panic!("{answer:?}"),
     }
 
     // A long job on all, then the red button.
     let job = r#"{"commands":[{"move":{"axis":0,"delay_us":1000,"steps":1000000}}]}"#;
-    bench.submit("*", job);
-    bench.until("all run", |model| all(model, NodeWord::Running));
+    bench.operator.submit("*", job);
+    bench
+        .operator
+        .until("all run", |model| all(model, NodeWord::Running));
     let (scope, mode) = (Scope::All, StopMode::Halt);
-    let ticket = bench.ask(Request::Stop { scope, mode });
-    bench.until("three confirmations", |model| {
+    let ticket = bench.operator.ask(Request::Stop { scope, mode });
+    bench.operator.until("three confirmations", |model| {
         let effort = model.efforts().next().expect("begun");
         effort.ticket() == ticket && effort.expected() == 3 && effort.is_complete()
     });
-    assert!(all(&bench.dashboard.model, NodeWord::Stopped));
+    assert!(all(bench.operator.model(), NodeWord::Stopped));
 
     let scope = Scope::All;
-    let ticket = bench.ask(Request::Release { scope });
-    bench.until("three releases", |model| {
+    let ticket = bench.operator.ask(Request::Release { scope });
+    bench.operator.until("three releases", |model| {
         let effort = model.efforts().next().expect("begun");
         effort.ticket() == ticket && effort.expected() == 3 && effort.is_complete()
     });
@@ -207,10 +150,14 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile() {
     let mut bench = Bench::start().await;
-    bench.until("three idle nodes", |model| all(model, NodeWord::Idle));
+    bench
+        .operator
+        .until("three idle nodes", |model| all(model, NodeWord::Idle));
     let service = bench.service.take().expect("it runs");
     service.shutdown().await.expect("an orderly end");
-    bench.until("no link", |model| !model.link().is_up());
+    bench
+        .operator
+        .until("no link", |model| !model.link().is_up());
     let gone = |model: &Model| {
         model
             .log()
@@ -218,25 +165,20 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
             .iter()
             .any(|line| line.text == "is gone")
     };
-    assert!(!gone(&bench.dashboard.model), "unheard of is not lost");
+    assert!(!gone(bench.operator.model()), "unheard of is not lost");
     let (scope, mode) = (Scope::All, StopMode::Halt);
-    let ticket = bench.ask(Request::Stop { scope, mode });
-    bench.until("the stop was not sent", |model| {
+    let ticket = bench.operator.ask(Request::Stop { scope, mode });
+    bench.operator.until("the stop was not sent", |model| {
         let mut efforts = model.efforts();
         let effort = efforts.find(|effort| effort.ticket() == ticket);
-        effort.is_some_and(|effort| {
-            matches!(
-                effort.sending(),
-                dashboard::model::effort::Sending::Failed(_)
-            )
-        })
+        effort.is_some_and(|effort| matches!(effort.sending(), Sending::Failed(_)))
     });
     let locator = bench.locator.clone();
     bench.service = Some(serve(&locator, &bench.store).await);
-    bench.until("connected again", |model| {
+    bench.operator.until("connected again", |model| {
         model.link().gateway() == Some(true)
     });
-    bench.until(
+    bench.operator.until(
         "three idle nodes again, none stopped by what was asked before",
         |model| all(model, NodeWord::Idle),
     );
@@ -244,9 +186,9 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
     let leaver = bench.nodes.remove(0);
     let id = NodeId::new(NAMES[0]).expect("a name");
     leaver.shutdown().await;
-    bench.until("a node is lost", |model| {
+    bench.operator.until("a node is lost", |model| {
         let node = model.node(&id).expect("known");
-        model.concern(node) == Some(dashboard::model::node::Concern::Lost)
+        model.concern(node) == Some(Concern::Lost)
     });
     bench.end().await;
 }

@@ -9,7 +9,14 @@ use keys::{
     JobId, Keys, NodeId, NodeTopic, Stop, StopMode, Topic,
     record::{ErrorCode, ErrorReply, JobError, Receipt},
 };
-use std::{collections::BTreeSet, sync::Arc, time::Duration};
+use std::{
+    collections::BTreeSet,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
 use zenoh::{
     Session,
     bytes::Encoding,
@@ -34,20 +41,32 @@ pub(super) struct Performer {
     session: Session,
     keys: Keys,
     inbox: Arc<Inbox>,
-    gateway: Arc<std::sync::atomic::AtomicBool>,
+    user: Option<String>,
+    gateway: Arc<AtomicBool>,
 }
 
 /// One reply: a sample, or the gateway's refusal.
 type Reply = Result<Sample, JobError>;
 
 impl Performer {
-    pub(super) fn new(session: Session, keys: Keys, inbox: Arc<Inbox>) -> Self {
+    pub(super) fn new(
+        session: Session,
+        keys: Keys,
+        inbox: Arc<Inbox>,
+        user: Option<String>,
+    ) -> Self {
         Self {
             session,
             keys,
             inbox,
+            user,
             gateway: Arc::default(),
         }
+    }
+
+    /// Returns the session.
+    pub(super) fn session(&self) -> &Session {
+        &self.session
     }
 
     /// Begins to perform a request; nothing waits for its end.
@@ -71,9 +90,7 @@ impl Performer {
             let present = replies.is_ok_and(|replies| !replies.is_empty());
             let event = LinkEvent::Gateway { present };
             performer.inbox.push(Message::Link(event));
-            let was = performer
-                .gateway
-                .swap(present, std::sync::atomic::Ordering::Relaxed);
+            let was = performer.gateway.swap(present, Ordering::Relaxed);
             if present && !was {
                 performer.refresh();
             }
@@ -105,6 +122,13 @@ impl Performer {
                     let key = format!("{}/node/{chunk}/release", self.keys.prefix());
                     replies.extend(self.get(&key, None).await?);
                 }
+                Ok(self.done(replies))
+            }
+            Request::Order { node, order } => {
+                let (topic, payload) = order.message();
+                let key = format!("{}/node/{node}/{topic}", self.keys.prefix());
+                let payload = Some((payload, Encoding::APPLICATION_JSON));
+                let replies = self.get(&key, payload).await?;
                 Ok(self.done(replies))
             }
             Request::Cancel { job } => {
@@ -169,7 +193,7 @@ impl Performer {
             replies.extend(got??);
         }
         if replies.is_empty() {
-            return Ok(no_answer());
+            return Ok(self.silence());
         }
         let receipts = replies.into_iter().map(|reply| {
             let payload = reply?.payload().to_bytes().into_owned();
@@ -183,7 +207,7 @@ impl Performer {
     /// Counts replies that are records, and hands the records on.
     fn done(&self, replies: Vec<Reply>) -> Answer {
         if replies.is_empty() {
-            return no_answer();
+            return self.silence();
         }
         let (mut count, mut refused) = (0, Vec::new());
         for reply in replies {
@@ -196,6 +220,22 @@ impl Performer {
             }
         }
         Answer::Done { count, refused }
+    }
+
+    /// Says what it may mean that nobody answered: a secured router passes over in silence what a
+    /// user may not ask for.
+    fn silence(&self) -> Answer {
+        let present = self.gateway.load(Ordering::Relaxed);
+        Answer::Failed(match (present, &self.user) {
+            (false, _) => "no gateway answers".to_owned(),
+            (true, Some(user)) => format!(
+                "refused: no answer although a gateway is there. The user {user} may not do this, \
+                 or the gateway is older than this window"
+            ),
+            (true, None) => "no answer although a gateway is there: it may be older than this \
+                             window, or not allow this"
+                .to_owned(),
+        })
     }
 
     async fn get(
@@ -220,20 +260,20 @@ impl Performer {
                 Ok(sample) => answers.push(Ok(sample)),
                 Err(error) => {
                     let payload = error.payload().to_bytes();
-                    // What is no refusal is zenoh's own word that the time is over.
-                    let error = serde_json::from_slice::<ErrorReply>(&payload)
-                        .map(|reply| reply.error)
-                        .map_err(|_| format!("no answer within {} s", ANSWER_MAX.as_secs_f64()))?;
-                    answers.push(Err(error));
+                    match serde_json::from_slice::<ErrorReply>(&payload) {
+                        Ok(reply) => answers.push(Err(reply.error)),
+                        // What is no refusal is zenoh's own word that the time is over.
+                        Err(_) if answers.is_empty() => break,
+                        Err(_) => {
+                            let seconds = ANSWER_MAX.as_secs();
+                            return Err(format!("no answer from all within {seconds} s").into());
+                        }
+                    }
                 }
             }
         }
         Ok(answers)
     }
-}
-
-fn no_answer() -> Answer {
-    Answer::Failed("no gateway answers".to_owned())
 }
 
 /// Returns the nodes whose token is there.

@@ -4,6 +4,7 @@ use super::{
     Asked, CONNECT_DEFAULT, LinkConfig, Place,
     inbox::Inbox,
     perform::{self, Performer},
+    refusal,
 };
 use crate::{
     message::{Answer, LinkEvent, Message},
@@ -100,7 +101,14 @@ pub(super) async fn run(config: LinkConfig, inbox: Arc<Inbox>, mut ends: Ends) {
             Err(end) => end,
             Ok(session) => {
                 inbox.push(Message::Link(LinkEvent::Connected { to }));
-                let end = listen(&session, &keys, &inbox, &tokens, &mut ends).await;
+                let user = credentials.as_ref().map(|known| known.user.as_str());
+                let performer = Performer::new(
+                    session.clone(),
+                    keys.clone(),
+                    Arc::clone(&inbox),
+                    user.map(str::to_owned),
+                );
+                let end = listen(&performer, &keys, &inbox, &tokens, &mut ends).await;
                 // The session may be dead already.
                 let _ = tokio::time::timeout(CLOSE_MAX, session.close()).await;
                 end
@@ -202,22 +210,13 @@ async fn open(locator: Option<&str>, credentials: Option<&Credentials>) -> Resul
             set(key, value)?;
         }
     }
-    let nobody = || match locator {
-        Some(locator) => {
-            let whose = if locator.starts_with("tls/") {
-                ", or its certificate is not one of this fleet"
-            } else {
-                ""
-            };
-            format!(
-                "nothing that speaks zenoh answers at {locator}, or it asks for another user{whose}"
-            )
-        }
-        None => "scouting found no router".to_owned(),
-    };
-    match tokio::time::timeout(OPEN_MAX, zenoh::open(config)).await {
-        Ok(Ok(session)) => Ok(session),
-        Ok(Err(_)) | Err(_) => Err(nobody()),
+    match (
+        tokio::time::timeout(OPEN_MAX, zenoh::open(config)).await,
+        locator,
+    ) {
+        (Ok(Ok(session)), _) => Ok(session),
+        (_, Some(locator)) => Err(refusal::why(locator, credentials).await),
+        (_, None) => Err("scouting found no router".to_owned()),
     }
 }
 
@@ -272,17 +271,17 @@ fn lock(tokens: &Mutex<Tokens>) -> MutexGuard<'_, Tokens> {
 }
 
 async fn listen(
-    session: &Session,
+    performer: &Performer,
     keys: &Keys,
     inbox: &Arc<Inbox>,
     tokens: &Arc<Mutex<Tokens>>,
     ends: &mut Ends,
 ) -> End {
+    let session = performer.session();
     lock(tokens).begin();
     if let Err(error) = subscribe(session, keys, inbox, tokens).await {
         return End::Down(format!("zenoh: {error}"));
     }
-    let performer = Performer::new(session.clone(), keys.clone(), Arc::clone(inbox));
     let mut looks = 0_u32;
     let mut ticks = tokio::time::interval(LOOK_EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);

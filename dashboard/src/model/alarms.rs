@@ -340,6 +340,21 @@ mod tests {
     }
 
     #[test]
+    fn a_node_has_time_to_speak_after_the_link_returned() {
+        let mut model = connected();
+        alive(&mut model, 0, "left", true);
+        says(&mut model, 10, "left", NodeState::Idle);
+        let why = "cut".to_owned();
+        model.apply(at(20), Message::Link(LinkEvent::Down { why }));
+        let to = "here".to_owned();
+        model.apply(at(60_000), Message::Link(LinkEvent::Connected { to }));
+        model.tick(at(62_000));
+        assert_eq!(told(&model), [""; 0]);
+        model.tick(at(64_000));
+        assert!(told(&model)[0].contains("says nothing"));
+    }
+
+    #[test]
     fn skew_beyond_the_promise_is_told_once_and_old_news_are_none() {
         let mut model = connected();
         let mut late = job("cut", at(0).0, 1, keys::record::JobState::Running);

@@ -10,6 +10,9 @@
 mod csv;
 pub mod rules;
 mod vcd;
+pub mod verdict;
+
+use verdict::Verdict;
 
 /// Largest file that is read, bytes.
 pub const BYTES_MAX: u64 = 256 << 20;
@@ -63,6 +66,8 @@ pub struct Capture {
     pub end_ps: u64,
     /// Signals that are neither steps nor directions.
     pub other_signals: usize,
+    /// What the oracle of the emulator wrote into the file, if it judged.
+    pub verdict: Option<Verdict>,
 }
 
 /// What is measured at one moment.

@@ -13,6 +13,12 @@ pub const CLOCKS_MAX: usize = 600;
 /// Least time between two kept clock estimates, s.
 pub const CLOCK_EVERY_S: f64 = 1.0;
 
+/// Stretches of a node's lane: one for each change of what it does, 64 bytes each.
+pub const STRETCHES_MAX: usize = 500;
+
+/// Faults of a node that are marked in its lane.
+pub const FAULTS_MAX: usize = 100;
+
 /// Lines of the log.
 pub const LOG_LINES_MAX: usize = 10_000;
 

@@ -1,6 +1,7 @@
 //! One node: what it said, what the gateway says about it, and the last minutes of both.
 
 use super::{
+    history::{Doing, History},
     limits::{CLOCK_EVERY_S, CLOCKS_MAX, SAMPLES_MAX, STALE_AFTER_S},
     ring::Ring,
 };
@@ -65,10 +66,13 @@ pub struct Node {
     token: Option<bool>,
     lost_at: Option<Moment>,
     heard_at: Moment,
+    // Before that nobody listened.
+    listened_from: Moment,
     record: Option<(Moment, NodeRecord)>,
     status: Option<(Moment, Status)>,
     samples: Ring<Sample, SAMPLES_MAX>,
     clocks: Ring<ClockSample, CLOCKS_MAX>,
+    history: History,
 }
 
 impl Node {
@@ -78,10 +82,12 @@ impl Node {
             token: None,
             lost_at: None,
             heard_at: at,
+            listened_from: at,
             record: None,
             status: None,
             samples: Ring::default(),
             clocks: Ring::default(),
+            history: History::default(),
         }
     }
 
@@ -93,6 +99,7 @@ impl Node {
         } else if was != Some(false) {
             self.lost_at = Some(at);
         }
+        self.look(at);
         was != Some(alive)
     }
 
@@ -112,6 +119,7 @@ impl Node {
         if was_there && !self.is_there() {
             self.lost_at = Some(at);
         }
+        self.look(at);
     }
 
     pub(super) fn status(&mut self, at: Moment, status: Status) {
@@ -125,7 +133,34 @@ impl Node {
             queue_depth: u32::try_from(depth).unwrap_or(u32::MAX),
             laser_percent: status.laser_percent,
         });
+        let fault = |status: &Status| status.faults.last().map(|fault| (fault.at, fault.code.0));
+        let known = self.status.as_ref().and_then(|(_, known)| fault(known));
+        if let Some((_, code)) = fault(&status).filter(|new| Some(*new) != known) {
+            self.history.fault(at, code);
+        }
         self.status = Some((at, status));
+        self.look(at);
+    }
+
+    /// Notes what it does now.
+    pub(super) fn look(&mut self, now: Moment) {
+        let doing = match (self.presence(now), self.word()) {
+            (Presence::Offline, _) if self.lost_at.is_some() => Doing::Lost,
+            (Presence::Stale, _) => Doing::Silent,
+            (_, word) => Doing::Word(word),
+        };
+        let job = self.is_there().then(|| self.job()).flatten();
+        self.history.note(now, doing, job);
+    }
+
+    /// Takes that there is a link again: it can be heard from now on.
+    pub(super) fn listen(&mut self, at: Moment) {
+        self.listened_from = at;
+    }
+
+    /// Notes that nobody knows what it does.
+    pub(super) fn unheard(&mut self, now: Moment) {
+        self.history.note(now, Doing::Unknown, None);
     }
 
     /// Returns its name.
@@ -141,7 +176,8 @@ impl Node {
 
     /// Returns whether it is there and speaks.
     pub fn presence(&self, now: Moment) -> Presence {
-        match (self.is_there(), now.since_s(self.heard_at)) {
+        let silent_from = self.heard_at.max(self.listened_from);
+        match (self.is_there(), now.since_s(silent_from)) {
             (false, _) => Presence::Offline,
             (true, age_s) if age_s > STALE_AFTER_S => Presence::Stale,
             (true, _) => Presence::Alive,
@@ -286,6 +322,11 @@ impl Node {
     /// Returns what it said in the last minutes, oldest first.
     pub fn samples(&self) -> &Ring<Sample, SAMPLES_MAX> {
         &self.samples
+    }
+
+    /// Returns what it did in the last hours.
+    pub fn history(&self) -> &History {
+        &self.history
     }
 
     /// Returns what was known about its clock in the last minutes, oldest first.

@@ -1,15 +1,20 @@
 //! What needed somebody, newest first, each with what became of it, and who has seen it.
 
+use super::table::table_ui;
 use crate::{
     model::{Model, alarms::Alarm},
     request::{Request, Requests},
+    sound::Sound,
     text,
     theme::{self, Badge, Tone},
     view::View,
 };
-use egui::{Margin, RichText, Ui, UserAttentionType, ViewportCommand};
-use egui_table::{CellInfo, Column, HeaderCellInfo, HeaderRow, Table, TableDelegate};
+use egui::{RichText, Ui, UserAttentionType, ViewportCommand};
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Time between two looks whether the sound has ended.
+const SOUND_POLL_EVERY: Duration = Duration::from_millis(200);
 
 /// What the panel remembers.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -19,18 +24,27 @@ pub struct AlarmsView {
     pub show_past: bool,
     /// Asks the desktop to mark this window when there is a new alarm.
     pub attention: bool,
+    /// Plays a sound when there is a new alarm.
+    pub sound: bool,
     /// The latest alarm for which that was done.
     #[serde(skip)]
     called_for: u64,
 }
 
-/// Marks the window in the task bar when there is a new alarm, if the operator wants that.
-pub fn call_for_attention(ui: &Ui, model: &Model, view: &mut View) {
+/// Marks the window in the task bar and plays a sound when there is a new alarm, each if the
+/// operator wants that.
+pub fn call(ui: &Ui, model: &Model, view: &mut View, sound: &mut Sound) {
     let latest = model.alarms().latest();
     let is_new = std::mem::replace(&mut view.alarms.called_for, latest) < latest;
     if is_new && view.alarms.attention {
         let attention = ViewportCommand::RequestUserAttention(UserAttentionType::Critical);
         ui.ctx().send_viewport_cmd(attention);
+    }
+    if is_new && view.alarms.sound {
+        sound.play();
+    }
+    if sound.poll() {
+        ui.ctx().request_repaint_after(SOUND_POLL_EVERY);
     }
 }
 
@@ -44,7 +58,13 @@ pub fn shown<'m>(model: &'m Model, view: &AlarmsView) -> Vec<&'m Alarm> {
 }
 
 /// Shows the list.
-pub fn alarms_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+pub fn alarms_ui(
+    ui: &mut Ui,
+    model: &Model,
+    sound: &mut Sound,
+    view: &mut View,
+    requests: &mut Requests,
+) {
     let alarms = model.alarms();
     let rows = shown(model, &view.alarms);
     ui.horizontal_wrapped(|ui| {
@@ -55,6 +75,15 @@ pub fn alarms_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Req
         ui.checkbox(&mut view.alarms.show_past, "Show past");
         ui.checkbox(&mut view.alarms.attention, "Mark the window")
             .on_hover_text("Asks the desktop to mark this window when there is a new alarm");
+        ui.checkbox(&mut view.alarms.sound, "Sound")
+            .on_hover_text("Plays a short sound when there is a new alarm");
+        if view.alarms.sound && ui.button("Try the sound").clicked() {
+            sound.play();
+        }
+        if let Some(why) = sound.failed() {
+            let words = format!("⚠ no sound: {why}");
+            ui.label(theme::toned(ui, Tone::Warn, words));
+        }
         let words = format!(
             "{} not acknowledged, {} listed",
             alarms.unseen(),
@@ -70,101 +99,63 @@ pub fn alarms_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Req
         ui.label(theme::toned(ui, Tone::Good, "✔ nothing needs anybody"));
         return;
     }
-    let columns = WIDTHS.map(|width| Column::new(width).range(40.0..=900.0));
-    let count = rows.len() as u64;
-    let mut rows = Rows {
-        model,
-        view,
-        requests,
-        rows,
+    table_ui(ui, "alarms", &COLUMNS, &rows, |ui, alarm, column| {
+        Some(match column {
+            0 => RichText::new(text::time_of_day(alarm.raised)),
+            1 => {
+                node_ui(ui, alarm, view);
+                return None;
+            }
+            2 => theme::alarm_badge(alarm.cause).text(ui),
+            3 => now_badge(model, alarm).text(ui),
+            4 => {
+                seen_ui(ui, alarm, requests);
+                return None;
+            }
+            _ => RichText::new(&alarm.text),
+        })
+    });
+}
+
+const COLUMNS: [(&str, f32); 6] = [
+    ("Time (UTC)", 105.0),
+    ("Node", 110.0),
+    ("Alarm", 90.0),
+    ("Now", 120.0),
+    ("Acknowledged", 125.0),
+    ("What", 480.0),
+];
+
+fn node_ui(ui: &mut Ui, alarm: &Alarm, view: &mut View) {
+    let Some(node) = alarm.node else { return };
+    let link = ui.add(egui::Button::new(node.as_str()).frame(false));
+    let name = format!("Page of {node}, alarm {}", alarm.id);
+    theme::named(&link, egui::Role::Button, &name);
+    if link.clicked() {
+        view.focus = Some(node);
+    }
+}
+
+fn now_badge(model: &Model, alarm: &Alarm) -> Badge {
+    let (icon, word, tone) = match alarm.over {
+        Some(_) => ("✔", "over", Tone::Quiet),
+        None if model.link().is_up() => ("●", "open", Tone::Bad),
+        None => ("?", "unknown", Tone::Warn),
     };
-    Table::new()
-        .id_salt("alarms")
-        .num_rows(count)
-        .columns(columns)
-        .headers([HeaderRow::new(theme::ROW_HEIGHT)])
-        .show(ui, &mut rows);
+    Badge { icon, word, tone }
 }
 
-const TITLES: [&str; 6] = ["Time (UTC)", "Node", "Alarm", "Now", "Acknowledged", "What"];
-const WIDTHS: [f32; 6] = [105.0, 110.0, 90.0, 120.0, 125.0, 480.0];
-
-struct Rows<'a> {
-    model: &'a Model,
-    view: &'a mut View,
-    requests: &'a mut Requests,
-    rows: Vec<&'a Alarm>,
-}
-
-impl TableDelegate for Rows<'_> {
-    fn header_cell_ui(&mut self, ui: &mut Ui, cell: &HeaderCellInfo) {
-        if ui.is_sizing_pass() {
-            ui.set_min_width(WIDTHS[cell.col_range.start]);
-            return;
-        }
-        ui.label(RichText::new(TITLES[cell.col_range.start]).strong());
+fn seen_ui(ui: &mut Ui, alarm: &Alarm, requests: &mut Requests) {
+    if let Some(seen) = alarm.seen {
+        let words = format!("✔ {}", text::time_of_day(seen));
+        ui.label(theme::toned(ui, Tone::Quiet, words));
+        return;
     }
-
-    fn cell_ui(&mut self, ui: &mut Ui, cell: &CellInfo) {
-        let Some(alarm) = self.rows.get(cell.row_nr as usize).copied() else {
-            return;
-        };
-        if ui.is_sizing_pass() {
-            ui.set_min_width(WIDTHS[cell.col_nr]);
-            return;
-        }
-        egui::Frame::new()
-            .inner_margin(Margin::symmetric(4, 2))
-            .show(ui, |ui| {
-                let text = match cell.col_nr {
-                    0 => RichText::new(text::time_of_day(alarm.raised)),
-                    1 => return self.node_ui(ui, alarm),
-                    2 => theme::alarm_badge(alarm.cause).text(ui),
-                    3 => self.now_badge(alarm).text(ui),
-                    4 => return self.seen_ui(ui, alarm),
-                    _ => RichText::new(&alarm.text),
-                };
-                ui.add(egui::Label::new(text).truncate());
-            });
-    }
-
-    fn default_row_height(&self) -> f32 {
-        theme::ROW_HEIGHT
-    }
-}
-
-impl Rows<'_> {
-    fn node_ui(&mut self, ui: &mut Ui, alarm: &Alarm) {
-        let Some(node) = alarm.node else { return };
-        let link = ui.add(egui::Button::new(node.as_str()).frame(false));
-        let name = format!("Page of {node}, alarm {}", alarm.id);
-        theme::named(&link, egui::Role::Button, &name);
-        if link.clicked() {
-            self.view.focus = Some(node);
-        }
-    }
-
-    fn now_badge(&self, alarm: &Alarm) -> Badge {
-        let (icon, word, tone) = match alarm.over {
-            Some(_) => ("✔", "over", Tone::Quiet),
-            None if self.model.link().is_up() => ("●", "open", Tone::Bad),
-            None => ("?", "unknown", Tone::Warn),
-        };
-        Badge { icon, word, tone }
-    }
-
-    fn seen_ui(&mut self, ui: &mut Ui, alarm: &Alarm) {
-        if let Some(seen) = alarm.seen {
-            let words = format!("✔ {}", text::time_of_day(seen));
-            ui.label(theme::toned(ui, Tone::Quiet, words));
-            return;
-        }
-        let button = ui.add(egui::Button::new("Acknowledge").small());
-        let name = format!("Acknowledge alarm {}", alarm.id);
-        theme::named(&button, egui::Role::Button, &name);
-        if button.clicked() {
-            let alarm = Some(alarm.id);
-            self.requests.push(Request::Acknowledge { alarm });
-        }
+    let button = ui.add(egui::Button::new("Acknowledge").small());
+    let name = format!("Acknowledge alarm {}", alarm.id);
+    theme::named(&button, egui::Role::Button, &name);
+    if button.clicked() {
+        let alarm = Some(alarm.id);
+        requests.push(Request::Acknowledge { alarm });
     }
 }

@@ -1,7 +1,7 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
-use super::{highlight::highlighted, preview};
+use super::{editor, preview};
 use crate::{
     estimate::{Estimate, estimate},
     files::is_capture,
@@ -23,6 +23,9 @@ use std::{collections::BTreeSet, ops::Range};
 
 /// Names of matching nodes that are spelled out.
 const NAMES_SHOWN: usize = 8;
+
+/// Least height of the text, rows.
+const EDITOR_ROWS: usize = 8;
 
 /// Longest text that is shown for editing and kept between runs, bytes. A longer one, from a file,
 /// is checked, previewed and sent as it is.
@@ -262,7 +265,7 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .default_size(330.0)
             .show(ui, |ui| preview::preview_ui(ui, estimate));
     }
-    editor_ui(ui, &mut view.composer, checked.place);
+    text_ui(ui, &mut view.composer, checked.place);
 }
 
 /// Where a preview begins: at the only node's place, if it rests; else at 0.
@@ -379,7 +382,7 @@ fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option
     });
 }
 
-fn editor_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>) {
+fn text_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>) {
     let language = composer.language;
     ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         let label = ui.label(match language {
@@ -395,17 +398,7 @@ fn editor_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize
             }
             return;
         }
-        let mut layouter = |ui: &Ui, text: &dyn egui::TextBuffer, width: f32| {
-            let mut job = highlighted(ui, language, text.as_str(), place.as_ref());
-            job.wrap.max_width = width;
-            ui.fonts_mut(|fonts| fonts.layout_job(job))
-        };
-        let edit = TextEdit::multiline(text)
-            .code_editor()
-            .layouter(&mut layouter)
-            .desired_width(f32::INFINITY)
-            .desired_rows(8);
-        ui.add(edit).labelled_by(label.id);
+        editor::editor_ui(ui, text, language, place.as_ref(), EDITOR_ROWS).labelled_by(label.id);
     });
 }
 

@@ -221,7 +221,7 @@ fn order(model: &Model, by: Column, a: &Node, b: &Node) -> Ordering {
 /// Shows filter and table.
 pub fn fleet_ui(ui: &mut Ui, model: &Model, view: &mut View) {
     let rows: Vec<&Node> = shown(model, view);
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         let label = ui.label("Filter nodes");
         let edit = TextEdit::singleline(&mut view.fleet.filter)
             .hint_text("word, state, job, or cell-a-$*")

@@ -1,7 +1,7 @@
 //! Writing a synchronized job: a part for each of several nodes, started together; then who is
 //! ready, how long until the start, and how far apart it was.
 
-use super::{composer, highlight::highlighted, preview};
+use super::{composer, editor::editor_ui, preview};
 use crate::{
     estimate::estimate,
     message::Answer,
@@ -20,6 +20,9 @@ use keys::{
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Least height of a part's text, rows.
+const EDITOR_ROWS: usize = 6;
 
 /// The part that a node gets when it is added.
 const PART: &str = "{\"commands\":[\n  {\"ramp\":{\"axis\":0,\"steps\":2000,\"speed_hz\":1000,\"accel\":2000}}\n]}";
@@ -350,16 +353,7 @@ fn part_ui(ui: &mut Ui, view: &mut View, open: NodeId, wrong: Option<&String>) {
     let place = message.and_then(|message| syntax::error_place(text, message));
     ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         let label = ui.label(format!("Part of {open} (JSON: commands or lua)"));
-        let mut layouter = |ui: &Ui, text: &dyn egui::TextBuffer, width: f32| {
-            let mut job = highlighted(ui, Language::Json, text.as_str(), place.as_ref());
-            job.wrap.max_width = width;
-            ui.fonts_mut(|fonts| fonts.layout_job(job))
-        };
-        let edit = TextEdit::multiline(text)
-            .code_editor()
-            .layouter(&mut layouter)
-            .desired_width(f32::INFINITY)
-            .desired_rows(6);
-        ui.add(edit).labelled_by(label.id);
+        let edit = editor_ui(ui, text, Language::Json, place.as_ref(), EDITOR_ROWS);
+        edit.labelled_by(label.id);
     });
 }

@@ -1,5 +1,6 @@
 //! Job records, newest first, and one of them in detail.
 
+use super::table::table_ui;
 use crate::{
     message::FileOutcome,
     model::{Model, select::Pattern},
@@ -9,8 +10,7 @@ use crate::{
     theme::{self, Tone},
     view::{Tab, View},
 };
-use egui::{Grid, Margin, Panel, RichText, ScrollArea, TextEdit, Ui};
-use egui_table::{CellInfo, Column, HeaderCellInfo, HeaderRow, Table, TableDelegate};
+use egui::{Grid, Panel, RichText, ScrollArea, TextEdit, Ui};
 use keys::{
     JobId,
     record::{JobRecord, JobState},
@@ -129,16 +129,23 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         ui.label(theme::toned(ui, Tone::Quiet, words));
         return;
     }
-    let columns = WIDTHS.map(|width| Column::new(width).range(40.0..=900.0));
-    let count = rows.len() as u64;
-    let mut rows = Rows { view, rows };
-    Table::new()
-        .id_salt("jobs")
-        .num_rows(count)
-        .columns(columns)
-        .num_sticky_cols(1)
-        .headers([HeaderRow::new(theme::ROW_HEIGHT)])
-        .show(ui, &mut rows);
+    table_ui(ui, "jobs", &COLUMNS, &rows, |ui, record, column| {
+        Some(match column {
+            0 => {
+                let open = view.jobs.open == Some(record.job);
+                let label = ui.selectable_label(open, record.job.as_str());
+                if label.clicked() {
+                    view.jobs.open = (!open).then_some(record.job);
+                }
+                return None;
+            }
+            1 => RichText::new(whose(record)),
+            2 => theme::job_badge(record.state).text(ui),
+            3 => RichText::new(progress(record)),
+            4 => RichText::new(text::date_and_time(record.created)),
+            _ => RichText::new(outcome(record)),
+        })
+    });
 }
 
 /// Writes what is listed to a new file.
@@ -181,57 +188,14 @@ fn export_ui(
     }
 }
 
-const TITLES: [&str; 6] = ["Job", "For", "State", "Done", "Created (UTC)", "Outcome"];
-const WIDTHS: [f32; 6] = [200.0, 110.0, 100.0, 90.0, 170.0, 420.0];
-
-struct Rows<'a> {
-    view: &'a mut View,
-    rows: Vec<&'a JobRecord>,
-}
-
-impl TableDelegate for Rows<'_> {
-    fn header_cell_ui(&mut self, ui: &mut Ui, cell: &HeaderCellInfo) {
-        if ui.is_sizing_pass() {
-            ui.set_min_width(WIDTHS[cell.col_range.start]);
-            return;
-        }
-        ui.label(RichText::new(TITLES[cell.col_range.start]).strong());
-    }
-
-    fn cell_ui(&mut self, ui: &mut Ui, cell: &CellInfo) {
-        let Some(record) = self.rows.get(cell.row_nr as usize) else {
-            return;
-        };
-        if ui.is_sizing_pass() {
-            ui.set_min_width(WIDTHS[cell.col_nr]);
-            return;
-        }
-        egui::Frame::new()
-            .inner_margin(Margin::symmetric(4, 2))
-            .show(ui, |ui| {
-                let text = match cell.col_nr {
-                    0 => {
-                        let open = self.view.jobs.open == Some(record.job);
-                        let label = ui.selectable_label(open, record.job.as_str());
-                        if label.clicked() {
-                            self.view.jobs.open = (!open).then_some(record.job);
-                        }
-                        return;
-                    }
-                    1 => RichText::new(whose(record)),
-                    2 => theme::job_badge(record.state).text(ui),
-                    3 => RichText::new(progress(record)),
-                    4 => RichText::new(text::date_and_time(record.created)),
-                    _ => RichText::new(outcome(record)),
-                };
-                ui.add(egui::Label::new(text).truncate());
-            });
-    }
-
-    fn default_row_height(&self) -> f32 {
-        theme::ROW_HEIGHT
-    }
-}
+const COLUMNS: [(&str, f32); 6] = [
+    ("Job", 200.0),
+    ("For", 110.0),
+    ("State", 100.0),
+    ("Done", 90.0),
+    ("Created (UTC)", 170.0),
+    ("Outcome", 420.0),
+];
 
 fn whose(record: &JobRecord) -> String {
     match (record.node, record.group) {

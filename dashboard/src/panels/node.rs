@@ -2,8 +2,9 @@
 
 use super::node_plots;
 use crate::{
+    message::Answer,
     model::{Model, log::Source, node::Node},
-    request::{Request, Requests, Scope},
+    request::{Order, Request, Requests, Scope},
     text,
     theme::{self, Tone},
     view::View,
@@ -70,6 +71,8 @@ pub struct NodeView {
     /// Where the pointer is in a plot over time, s before the present.
     #[serde(skip)]
     pub cursor_s: Option<f64>,
+    /// The speed that can be set, percent.
+    pub speed_percent: u16,
     /// The folder for plots as files.
     pub folder: String,
     /// The plot that is to become a file.
@@ -96,6 +99,7 @@ impl Default for NodeView {
             path_right: 0,
             path_up: 1,
             cursor_s: None,
+            speed_percent: 100,
             folder: ".".to_owned(),
             export: None,
             exported: None,
@@ -141,6 +145,7 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             view.stop.releasing = Some(Scope::node(id));
         }
     });
+    orders_ui(ui, model, node, &mut view.node, requests);
     ui.horizontal_wrapped(|ui| {
         for page in Page::ALL {
             ui.selectable_value(&mut view.node.page, page, page.title());
@@ -162,6 +167,56 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         Page::Lines => lines_ui(ui, model, node),
         Page::Setup => scrolled(ui, |ui| setup_ui(ui, node)),
     }
+}
+
+/// Shows what holds, resumes and slows the node's motion, and what became of it.
+fn orders_ui(
+    ui: &mut Ui,
+    model: &Model,
+    node: &Node,
+    view: &mut NodeView,
+    requests: &mut Requests,
+) {
+    let (id, word) = (node.id(), node.word());
+    ui.horizontal_wrapped(|ui| {
+        let hold = egui::Button::new("Hold");
+        let hold = ui.add_enabled(matches!(word, NodeWord::Running | NodeWord::Ready), hold);
+        let resume = ui.add_enabled(word == NodeWord::Paused, egui::Button::new("Resume"));
+        let label = ui.label("Speed");
+        let percent = egui::DragValue::new(&mut view.speed_percent)
+            .range(Order::PERCENT)
+            .suffix(" %");
+        ui.add(percent).labelled_by(label.id);
+        let speed = ui.add_enabled(node.is_there(), egui::Button::new("Set speed"));
+        for (button, order, hint) in [
+            (
+                hold,
+                Order::Hold,
+                "Come to rest on the path; the job goes on with Resume",
+            ),
+            (resume, Order::Resume, "Go on where it was held"),
+            (
+                speed,
+                Order::Speed(view.speed_percent),
+                "Of ramps and lines, from now on",
+            ),
+        ] {
+            if button.on_hover_text(hint).clicked() {
+                requests.push(Request::Order { node: id, order });
+            }
+        }
+        if let Some(ordered) = model.orders().of(&id) {
+            let (tone, words) = match &ordered.answer {
+                None => (Tone::Plain, format!("⌛ {}", ordered.order)),
+                Some(Answer::Failed(why)) => (Tone::Bad, format!("✖ {}: {why}", ordered.order)),
+                Some(Answer::Done { refused, .. }) if !refused.is_empty() => {
+                    (Tone::Bad, format!("✖ {}: {}", ordered.order, refused[0]))
+                }
+                Some(_) => (Tone::Good, format!("✔ {} taken", ordered.order)),
+            };
+            ui.label(theme::toned(ui, tone, words));
+        }
+    });
 }
 
 /// Shows the buttons that make files of plots.

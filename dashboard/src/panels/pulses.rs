@@ -135,9 +135,8 @@ pub fn pulses_ui(ui: &mut Ui, view: &mut View) {
         ui.vertical(|ui| {
             // Beside the timeline, so that it does not move under the pointer.
             readings_ui(ui, shown, *cursor_ps);
-            if let Some(at) = findings_ui(ui, shown) {
-                *go_to_ps = Some(at);
-            }
+            let wanted = verdict_ui(ui, shown);
+            *go_to_ps = go_to_ps.or(wanted).or(findings_ui(ui, shown));
         });
     });
 }
@@ -302,6 +301,15 @@ fn timeline_ui(ui: &mut Ui, shown: &Shown, go_to_ps: Option<(u64, u64)>) -> Opti
             let in_sight = listed[first..]
                 .iter()
                 .take_while(|found| found.at_ps <= to_ps);
+            let judged = shown.capture.verdict.iter().flat_map(|it| &it.found);
+            let judged = judged.filter_map(|(at_ps, _)| *at_ps);
+            let top = (lane_count - 1) as f64 * LANE + 1.3;
+            let judged = judged.filter(|at_ps| (from_ps..=to_ps).contains(at_ps));
+            let judged: PlotPoints<'_> = judged
+                .map(|at_ps| [at_ps as f64 / PS_PER_US, top])
+                .collect();
+            let judged = Points::new("found by the oracle", judged).shape(MarkerShape::Cross);
+            plot.points(judged.color(bad).radius(6.0));
             let marks: PlotPoints<'_> = in_sight
                 .take(MARKS_MAX)
                 .map(|found| [found.at_ps as f64 / PS_PER_US, base(2 * found.axis) + 1.15])
@@ -323,6 +331,57 @@ fn axis_mark(at_us: f64, step_us: f64) -> String {
         1.0.. => format!("{at_us:.0} µs"),
         _ => format!("{at_us:.2} µs"),
     }
+}
+
+/// Height of the oracle's list, points; the rest is scrolled.
+const VERDICT_HEIGHT: f32 = 90.0;
+
+/// Half of the time that is shown around what the oracle found, ps.
+const AROUND_PS: u64 = 100_000_000;
+
+/// Shows what the oracle found, and returns where the operator wants to look, ps.
+fn verdict_ui(ui: &mut Ui, shown: &Shown) -> Option<(u64, u64)> {
+    let Some(verdict) = &shown.capture.verdict else {
+        let words = "○ no oracle judged this file: `emulator --vcd … --check` does";
+        let words = theme::toned(ui, Tone::Quiet, words);
+        ui.add(egui::Label::new(words).wrap());
+        return None;
+    };
+    if verdict.cut {
+        let words = "⚠ the end was not judged: the record was full";
+        ui.label(theme::toned(ui, Tone::Warn, words));
+    }
+    if verdict.found.is_empty() {
+        let judged = verdict.good.as_deref().unwrap_or_default();
+        let words = format!("✔ the oracle found nothing wrong: {judged}");
+        let words = theme::toned(ui, Tone::Good, words);
+        ui.add(egui::Label::new(words).wrap());
+        return None;
+    }
+    let count = text::count(verdict.found.len(), "violation");
+    let words = format!("✖ {count} found by the oracle");
+    ui.label(theme::toned(ui, Tone::Bad, words));
+    let mut wanted = None;
+    ScrollArea::vertical()
+        .id_salt("verdict")
+        .max_height(VERDICT_HEIGHT)
+        .auto_shrink([false, true])
+        .show(ui, |ui| {
+            for (at_ps, message) in &verdict.found {
+                let Some(at_ps) = *at_ps else {
+                    ui.label(theme::toned(ui, Tone::Bad, message));
+                    continue;
+                };
+                let words = format!("{:.3} µs: {message}", at_ps as f64 / PS_PER_US);
+                let words = theme::toned(ui, Tone::Bad, words);
+                let button = egui::Button::new(words).frame(false).truncate();
+                if ui.add(button).on_hover_text("Show it").clicked() {
+                    let from_ps = at_ps.saturating_sub(AROUND_PS);
+                    wanted = Some((from_ps, at_ps.saturating_add(AROUND_PS)));
+                }
+            }
+        });
+    wanted
 }
 
 /// Lists what was found and returns where the operator wants to look, ps.

@@ -112,6 +112,7 @@ impl Session {
             Request::Release { scope } => format!("release of {scope}"),
             Request::Submit { target, .. } => format!("job for {target}"),
             Request::Cancel { job } => format!("cancel of {job}"),
+            Request::Order { node, order } => format!("{order} of {node}"),
             Request::Refresh => "refresh".to_owned(),
             Request::Connect { .. } => "connecting elsewhere".to_owned(),
         };

@@ -24,6 +24,7 @@ pub mod pulse;
 pub mod record;
 pub mod store;
 pub mod vcd;
+pub mod verdict;
 pub mod wall;
 pub mod wiring;
 

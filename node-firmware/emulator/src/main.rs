@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, ValueEnum};
 use emulator::{
     Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX, oracle,
-    record::Life, wiring::Wiring,
+    record::Life, verdict, wiring::Wiring,
 };
 use keys::{Keys, NodeId};
 use motion::limits::CHANNELS;
@@ -119,7 +119,8 @@ struct Args {
     #[arg(long, value_name = "FILE")]
     vcd: Option<PathBuf>,
 
-    /// Judge every pulse against the commands that were taken, at the end.
+    /// Judge every pulse against the commands that were taken, at the end. With --vcd the verdict
+    /// stands in the dump too, where the dashboard shows it.
     #[arg(long)]
     check: bool,
 
@@ -264,14 +265,17 @@ async fn main() -> Result<ExitCode> {
     for config in args.configs()? {
         let name = config.name;
         let handle = emulator::spawn(config)?;
-        if let Some(file) = &args.vcd {
-            let path = vcd_path(file, &name, args.nodes);
-            let file = File::create(&path).with_context(|| format!("--vcd {}", path.display()))?;
+        let dump = args
+            .vcd
+            .as_ref()
+            .map(|file| vcd_path(file, &name, args.nodes));
+        if let Some(path) = &dump {
+            let file = File::create(path).with_context(|| format!("--vcd {}", path.display()))?;
             handle
                 .with(|node, _| node.dump_to(Box::new(BufWriter::new(file))))
                 .with_context(|| format!("--vcd {}", path.display()))?;
         }
-        handles.push(handle);
+        handles.push((handle, dump));
     }
     wait_for_signal().await?;
     tracing::info!("stopping");
@@ -279,9 +283,9 @@ async fn main() -> Result<ExitCode> {
 }
 
 /// Ends all nodes and judges them if that was asked for.
-async fn finish(handles: Vec<EmulatedHandle>, check: bool) -> Result<ExitCode> {
+async fn finish(handles: Vec<(EmulatedHandle, Option<PathBuf>)>, check: bool) -> Result<ExitCode> {
     let mut good = true;
-    for handle in handles {
+    for (handle, dump) in handles {
         let name = handle.name();
         handle
             .with(|node, _| node.finish_dump())
@@ -289,12 +293,23 @@ async fn finish(handles: Vec<EmulatedHandle>, check: bool) -> Result<ExitCode> {
         let lives = handle.shutdown().await;
         if check {
             good &= judge(&name, &lives);
+            // The dump ends with the first boot.
+            if let (Some(path), Some(life)) = (dump, lives.first()) {
+                append_verdict(&path, life).with_context(|| format!("--vcd {}", path.display()))?;
+            }
         }
     }
     if check && !good {
         bail!("violations found");
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the verdict on one boot behind its dump.
+fn append_verdict(path: &Path, life: &Life) -> std::io::Result<()> {
+    let file = File::options().append(true).open(path)?;
+    let verdict = oracle::check_life(life);
+    verdict::write(BufWriter::new(file), &verdict, life.cut)
 }
 
 /// Prints the verdict on one node; `false` on a violation.

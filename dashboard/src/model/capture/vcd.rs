@@ -1,6 +1,6 @@
 //! Value change dumps.
 
-use super::{Builder, Capture, Pin, pin};
+use super::{Builder, Capture, Pin, pin, verdict::MARK};
 use std::collections::HashMap;
 
 /// Reads a value change dump.
@@ -31,6 +31,16 @@ pub(super) fn parse(text: &str) -> Result<Capture, String> {
                     }
                 };
                 pins.insert(code, place);
+            }
+            "$comment" => {
+                let comment = words.until_end()?;
+                // The verdict comes last, so the scale is known.
+                if let Some(said) = comment.split_first().filter(|(mark, _)| **mark == MARK) {
+                    let verdict = builder.capture.verdict.get_or_insert_default();
+                    verdict
+                        .hear(said.1, ps_per_unit.unwrap_or(1))
+                        .map_err(fail)?;
+                }
             }
             "$enddefinitions" => {
                 words.until_end()?;

@@ -1,11 +1,8 @@
 //! The pulse inspector, from the file to the list of violations.
 
-mod fixture;
-mod screen;
-
+use crate::screen::{Window, button, picture, point_at, show, show_in, shows};
 use dashboard::{app::Dashboard, model::capture::Capture, view::Tab};
 use egui::Role;
-use screen::{Window, button, point_at, show, show_in, shows, snapshot};
 use std::sync::Arc;
 
 /// Two axes speed up and turn round; one pulse of axis 1 is too narrow, and its direction turns
@@ -42,7 +39,7 @@ fn dump() -> String {
 }
 
 fn inspector(text: &str) -> Dashboard {
-    let mut dashboard = fixture::connected();
+    let mut dashboard = crate::fixture::connected();
     dashboard.view.tab = Tab::Pulses;
     let capture = Capture::parse("left.vcd", text).map(Arc::new);
     dashboard.view.pulses.opened("left.vcd".to_owned(), capture);
@@ -60,7 +57,7 @@ fn a_file_is_opened_by_its_name() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("left.vcd");
     std::fs::write(&file, dump()).expect("a file");
-    let mut dashboard = fixture::connected();
+    let mut dashboard = crate::fixture::connected();
     dashboard.view.tab = Tab::Pulses;
     dashboard.view.pulses.path = file.display().to_string();
     let mut window = show(dashboard);
@@ -88,7 +85,7 @@ impl egui::DroppedFile for Dropped {
 
 #[test]
 fn a_file_that_is_dropped_is_opened() {
-    let mut window = show(fixture::connected());
+    let mut window = show(crate::fixture::connected());
     let file = Dropped("/nowhere/dropped.vcd".into());
     window.input_mut().dropped_files.push(Arc::new(file));
     served(&mut window);
@@ -157,6 +154,40 @@ fn inspector_violation(window: &Window, words: &str) -> String {
     label.expect("a button has a name")
 }
 
+/// The dump with what the oracle says about it.
+fn judged(words: &[&str]) -> String {
+    let comments = words.iter();
+    let comments = comments.map(|words| format!("$comment stepfleet-verdict {words} $end\n"));
+    dump() + &comments.collect::<String>()
+}
+
+#[test]
+fn what_the_oracle_found_is_shown_and_a_click_goes_there() {
+    let window = show(inspector(&dump()));
+    assert!(shows(&window, "no oracle judged this file"));
+    let window = show(inspector(&judged(&["good 2 commands, steps [60, 30]"])));
+    assert!(shows(
+        &window,
+        "✔ the oracle found nothing wrong: 2 commands"
+    ));
+    let found = [
+        "violation 20000000 speed jumps by 400 Hz",
+        "violation - 3 steps are missing",
+    ];
+    let mut window = show(inspector(&judged(&found)));
+    assert!(shows(&window, "✖ 2 violations found by the oracle"));
+    assert!(shows(&window, "3 steps are missing"));
+    button(&mut window, "2000.000 µs: speed jumps by 400 Hz");
+    point_at(&mut window, Role::Image, "Timeline of the pins");
+    let at_ps = window
+        .state()
+        .view
+        .pulses
+        .cursor_ps
+        .expect("in the timeline");
+    assert!(at_ps.abs_diff(2_000_000_000) < 50_000_000, "{at_ps} ps");
+}
+
 #[test]
 fn what_is_no_capture_says_why() {
     let window = show(inspector("PK\u{3}\u{4}"));
@@ -166,8 +197,9 @@ fn what_is_no_capture_says_why() {
 #[test]
 fn picture_of_the_pulses() {
     let size = [1_100.0, 640.0];
-    snapshot("pulses", |theme| {
-        let mut window = show_in(inspector(&dump()), theme, size);
+    picture("pulses", |theme| {
+        let dump = judged(&["violation 20000000 speed jumps by 400 Hz: at most 200 are allowed"]);
+        let mut window = show_in(inspector(&dump), theme, size);
         point_at(&mut window, Role::Image, "Timeline of the pins");
         window
     });

@@ -1,16 +1,17 @@
 //! A node's page: its plots, its path, its clock, its lines and what is known of its setup.
 
-mod fixture;
-mod screen;
-
-use dashboard::{app::Dashboard, message::Message, panels::node::Page};
+use crate::fixture::{at_ms, connected, node, record, status, tell, tell_status};
+use crate::screen::{Window, asked, button, click, picture, point_at, show, show_in, shows};
+use dashboard::{
+    app::Dashboard,
+    message::{Answer, Message},
+    panels::node::Page,
+};
 use egui::Role;
-use fixture::{at_ms, connected, node, record, status, tell, tell_status};
 use keys::{
     NodeState,
     record::{ClockRecord, FaultRecord, NodeWord},
 };
-use screen::{Window, button, click, point_at, show, show_in, shows, snapshot};
 
 const SIZE: [f32; 2] = [1_000.0, 780.0];
 
@@ -44,7 +45,7 @@ fn circle() -> Dashboard {
             told.faults = vec![FaultRecord {
                 code: 101,
                 message: "link lost while moving".to_owned(),
-                at: keys::FleetMicros(fixture::START.0 + 1_500_000),
+                at: keys::FleetMicros(crate::fixture::START.0 + 1_500_000),
             }];
             tell(&mut dashboard, at, Message::Node(Box::new(told)));
         }
@@ -162,8 +163,53 @@ fn a_plot_becomes_a_table() {
     assert!(shows(&window, "File exists"), "never over another one");
 }
 
-fn picture(name: &str, page: Page) {
-    snapshot(name, |theme| {
+#[test]
+fn a_node_is_held_resumed_and_slowed_and_says_what_became_of_it() {
+    use dashboard::request::{Order, Request};
+    let order = |order| Request::Order {
+        node: node("laser-1"),
+        order,
+    };
+    let mut window = show(circle());
+    button(&mut window, "Hold");
+    let asked_for = asked(&mut window);
+    assert_eq!(asked_for[0].1, order(Order::Hold));
+    assert!(shows(&window, "⌛ hold"));
+    let ticket = asked_for[0].0;
+    let answer = Answer::Failed("no gateway answers".to_owned());
+    let told = Message::Answer { ticket, answer };
+    tell(window.state_mut(), at_ms(10_100), told);
+    window.run_steps(2);
+    assert!(shows(&window, "✖ hold: no gateway answers"));
+    button(&mut window, "Resume");
+    assert_eq!(asked(&mut window), [], "it is not paused");
+    let paused = status(NodeState::Paused, 10_200, [0, 0], 0);
+    tell_status(window.state_mut(), at_ms(10_200), "laser-1", paused);
+    window.run_steps(2);
+    button(&mut window, "Resume");
+    assert_eq!(asked(&mut window)[0].1, order(Order::Resume));
+    window.state_mut().view.node.speed_percent = 50;
+    window.run_steps(2);
+    button(&mut window, "Set speed");
+    let asked_for = asked(&mut window);
+    assert_eq!(asked_for[0].1, order(Order::Speed(50)));
+    assert_eq!(
+        Order::Speed(50).message(),
+        ("speed", r#"{"percent":50}"#.to_owned())
+    );
+    let (ticket, refused) = (asked_for[0].0, Vec::new());
+    let answer = Answer::Done { count: 1, refused };
+    tell(
+        window.state_mut(),
+        at_ms(10_300),
+        Message::Answer { ticket, answer },
+    );
+    window.run_steps(2);
+    assert!(shows(&window, "✔ speed 50 % taken"));
+}
+
+fn picture_of_page(name: &str, page: Page) {
+    picture(name, |theme| {
         let mut dashboard = circle();
         dashboard.view.node.page = page;
         show_in(dashboard, theme, SIZE)
@@ -172,15 +218,15 @@ fn picture(name: &str, page: Page) {
 
 #[test]
 fn picture_of_the_motion() {
-    picture("node_motion", Page::Motion);
+    picture_of_page("node_motion", Page::Motion);
 }
 
 #[test]
 fn picture_of_the_path() {
-    picture("node_path", Page::Path);
+    picture_of_page("node_path", Page::Path);
 }
 
 #[test]
 fn picture_of_the_clock() {
-    picture("node_clock", Page::Clock);
+    picture_of_page("node_clock", Page::Clock);
 }

@@ -1,20 +1,16 @@
 //! The history of jobs: filtered, exported, written to files.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, job_record, node, tell};
+use crate::screen::{Window, asked, button, do_files, picture_of, show, shows};
 use dashboard::{
     app::Dashboard,
-    job_files,
     message::{FileOutcome, Message},
     records,
     request::Request,
 };
-use fixture::{at_ms, fleet, job_record, node, tell};
 use keys::record::{ErrorCode, JobError, JobRecord, JobState};
-use screen::{Screen, asked, button, picture, show, shows};
 
-fn filter(screen: &mut Screen, node: &str) {
+fn filter(screen: &mut Window, node: &str) {
     screen.state_mut().view.jobs.node = node.to_owned();
     screen.run_steps(2);
 }
@@ -84,32 +80,29 @@ fn a_field_of_a_table_cannot_break_out_of_it() {
 }
 
 #[test]
-fn a_file_that_exists_is_not_written_over() {
-    let folder = env!("CARGO_TARGET_TMPDIR");
-    let path = format!("{folder}/history-{}.csv", std::process::id());
-    assert!(matches!(
-        job_files::write(&path, "one"),
-        FileOutcome::Written { .. }
-    ));
-    assert!(matches!(
-        job_files::write(&path, "two"),
-        FileOutcome::Failed(_)
-    ));
-    let text = "one".to_owned();
-    let read = FileOutcome::Read {
-        path: path.clone(),
-        text,
-    };
-    assert_eq!(job_files::read(&path), read);
-    std::fs::remove_file(&path).expect("it was written");
+fn the_list_becomes_a_file_and_one_that_exists_is_not_written_over() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("jobs.csv");
+    let mut window = show(fleet());
+    window.state_mut().view.jobs.export = file.display().to_string();
+    window.run_steps(2);
+    button(&mut window, "Export CSV");
+    do_files(&mut window);
+    assert!(shows(&window, "✔ wrote "));
+    let written = std::fs::read_to_string(&file).expect("the file");
+    assert_eq!(written.lines().count(), 5, "{written}");
+    button(&mut window, "Export JSON");
+    do_files(&mut window);
+    assert!(shows(&window, "jobs.csv: File exists"));
+    assert_eq!(std::fs::read_to_string(&file).expect("the file"), written);
 }
 
 #[test]
 fn picture_of_the_history() {
-    picture("history", || -> Dashboard {
+    picture_of("history", || -> Dashboard {
         let mut dashboard = fleet();
         dashboard.view.jobs.node = "cell-a-$*".to_owned();
-        dashboard.view.jobs.open = Some(fixture::job("drill-1"));
+        dashboard.view.jobs.open = Some(crate::fixture::job("drill-1"));
         dashboard
     });
 }

@@ -1,13 +1,10 @@
 //! The list of alarms: raised by messages, acknowledged by clicks.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, node, status, tell, tell_status};
+use crate::screen::{asked, button, click, picture_of, show, shows};
 use dashboard::{app::Dashboard, message::Message, view::Tab};
 use egui::{Key, Modifiers, Role};
-use fixture::{at_ms, fleet, node, status, tell, tell_status};
 use keys::NodeState;
-use screen::{asked, button, click, picture, show, shows};
 
 fn with_alarms() -> Dashboard {
     let mut dashboard = fleet();
@@ -62,7 +59,7 @@ fn an_alarm_leads_to_its_node() {
 
 #[test]
 fn the_list_has_a_key_and_says_when_nothing_is_wrong() {
-    let mut screen = show(fixture::connected());
+    let mut screen = show(crate::fixture::connected());
     screen.key_press_modifiers(Modifiers::COMMAND, Key::M);
     screen.run_steps(3);
     assert!(shows(&screen, "nothing needs anybody"));
@@ -75,9 +72,62 @@ fn the_list_has_a_key_and_says_when_nothing_is_wrong() {
     assert!(shows(&screen, "1 not acknowledged, 1 listed"));
 }
 
+/// Loses a node at this moment.
+fn lose(dashboard: &mut Dashboard, name: &str, ms: u64) {
+    for alive in [true, false] {
+        let node = node(name);
+        tell(dashboard, at_ms(ms), Message::Alive { node, alive });
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_sound_is_off_until_it_is_wanted_and_then_plays_for_what_is_new_and_live() {
+    use dashboard::sound::{Player, Sound};
+    let folder = tempfile::tempdir().expect("a folder");
+    let heard = folder.path().join("heard");
+    let mut dashboard = with_alarms();
+    dashboard.sound = Sound::with(vec![Player::new(
+        "cp",
+        &["{}", &heard.display().to_string()],
+    )]);
+    let mut window = show(dashboard);
+    assert!(!window.state().view.alarms.sound);
+    lose(window.state_mut(), "one", 1_000);
+    window.run_steps(2);
+    assert!(!window.state().sound.is_playing(), "nobody wants it");
+    click(&mut window, Role::CheckBox, "Sound");
+    assert!(!window.state().sound.is_playing(), "nothing is new");
+    lose(window.state_mut(), "two", 1_100);
+    window.run_steps(1);
+    window.state_mut().sound.wait();
+    assert!(heard.exists(), "played");
+    std::fs::remove_file(&heard).expect("it was there");
+    window.run_steps(3);
+    window.state_mut().sound.wait();
+    assert!(!heard.exists(), "once for each time that something is new");
+    button(&mut window, "Try the sound");
+    window.state_mut().sound.wait();
+    assert!(heard.exists());
+}
+
+#[test]
+fn a_computer_without_sound_is_told_so() {
+    use dashboard::sound::{Player, Sound};
+    let mut dashboard = with_alarms();
+    dashboard.sound = Sound::with(vec![Player::new("/nowhere/aplay", &["{}"])]);
+    dashboard.view.alarms.sound = true;
+    let mut window = show(dashboard);
+    button(&mut window, "Try the sound");
+    assert!(shows(
+        &window,
+        "⚠ no sound: nothing here can play it: /nowhere/aplay"
+    ));
+}
+
 #[test]
 fn picture_of_alarms() {
-    picture("alarms", || {
+    picture_of("alarms", || {
         let mut dashboard = with_alarms();
         for alarm in [1, 3] {
             let seen = Message::Acknowledged { alarm: Some(alarm) };

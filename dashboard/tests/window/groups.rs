@@ -1,21 +1,18 @@
 //! The editor of synchronized jobs: parts, readiness, countdown, measured skew.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, job, node, tell};
+use crate::screen::{Window, asked, button, picture_of, show, shows};
 use dashboard::{
     app::Dashboard,
     message::{Answer, Message},
     request::{Language, Request, Target},
     view::Tab,
 };
-use fixture::{at_ms, fleet, job, node, tell};
 use keys::{
     FleetMicros, GroupId,
     job::GroupRequest,
     record::{JobRecord, JobState, PartRecord, Progress, Receipt, StartRecord},
 };
-use screen::{Screen, asked, button, picture, show, shows};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn editing() -> Dashboard {
@@ -26,7 +23,7 @@ fn editing() -> Dashboard {
 }
 
 fn record(state: JobState, start: Option<StartRecord>) -> JobRecord {
-    let mut record = fixture::job_record("cut-9", "cell-a-2", state, 0, 2);
+    let mut record = crate::fixture::job_record("cut-9", "cell-a-2", state, 0, 2);
     (record.node, record.group) = (None, GroupId::new("saws").ok());
     let part = |state| PartRecord {
         state,
@@ -47,7 +44,7 @@ fn record(state: JobState, start: Option<StartRecord>) -> JobRecord {
     record
 }
 
-fn sent() -> Screen {
+fn sent() -> Window {
     let mut screen = show(editing());
     button(&mut screen, "Add selection");
     screen.state_mut().view.group_job.group = "saws".to_owned();
@@ -83,7 +80,7 @@ fn sent() -> Screen {
     screen
 }
 
-fn told(screen: &mut Screen, version: u64, mut record: JobRecord) {
+fn told(screen: &mut Window, version: u64, mut record: JobRecord) {
     record.version = version;
     tell(
         screen.state_mut(),
@@ -162,7 +159,7 @@ fn a_node_that_is_not_there_is_named_before_sending() {
 
 #[test]
 fn picture_of_a_synchronized_job() {
-    picture("group_job", || {
+    picture_of("group_job", || {
         let mut dashboard = editing();
         let selection = dashboard.view.selection.clone();
         dashboard.view.group_job.add(&selection);

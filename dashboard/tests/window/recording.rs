@@ -1,16 +1,13 @@
 //! Recording and replay as the operator uses them: what is shown, and what is not sent.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, node, status, tell_status};
+use crate::screen::{Window, button, click, picture, show, show_in, shows};
 use dashboard::{
     app::Dashboard, message::Message, recording::session::Wish, request::Request, request::Scope,
     view::Tab,
 };
 use egui::Role;
-use fixture::{at_ms, fleet, node, status, tell_status};
 use keys::{NodeState, StopMode};
-use screen::{Window, button, click, show, show_in, shows, snapshot};
 use std::path::Path;
 
 /// Records ten seconds in which `spare` moves to step 900 and `cell-a-1` writes a line.
@@ -33,7 +30,7 @@ fn record(file: &Path) {
 }
 
 fn replaying(file: &Path) -> Dashboard {
-    let mut dashboard = fixture::connected();
+    let mut dashboard = crate::fixture::connected();
     dashboard.view.recording.wish = Some(Wish::Open(file.display().to_string()));
     dashboard
 }
@@ -184,7 +181,7 @@ fn picture_of_a_replay() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("day.jsonl");
     record(&file);
-    snapshot("replay", |theme| {
+    picture("replay", |theme| {
         let mut dashboard = replaying(&file);
         dashboard.view.tab = Tab::Recording;
         let mut window = show_in(dashboard, theme, [1_000.0, 600.0]);

@@ -1,20 +1,38 @@
-//! A job's text in colours.
+//! The editor of a job's text: in colours, what is wrong underlined.
 
 use crate::{
     request::Language,
     syntax::{self, Kind},
     theme::Tone,
 };
-use egui::{TextFormat, TextStyle, Ui, text::LayoutJob};
+use egui::{Response, TextEdit, TextFormat, TextStyle, Ui, text::LayoutJob};
 use std::ops::Range;
 
-/// Returns the text in colours, what is wrong underlined.
-pub(super) fn highlighted(
-    ui: &Ui,
+/// Shows a text to be edited, at least so many rows high, what is wrong with it at `place`.
+pub(super) fn editor_ui(
+    ui: &mut Ui,
+    text: &mut String,
     language: Language,
-    text: &str,
-    wrong: Option<&Range<usize>>,
-) -> LayoutJob {
+    place: Option<&Range<usize>>,
+    rows: usize,
+) -> Response {
+    let mut layouter = |ui: &Ui, text: &dyn egui::TextBuffer, width: f32| {
+        let mut job = highlighted(ui, language, text.as_str(), place);
+        job.wrap.max_width = width;
+        ui.fonts_mut(|fonts| fonts.layout_job(job))
+    };
+    let edit = TextEdit::multiline(text)
+        .code_editor()
+        .layouter(&mut layouter)
+        // The key Tab leads on; else the keyboard alone would never get out of here.
+        .lock_focus(false)
+        .desired_width(f32::INFINITY)
+        .desired_rows(rows);
+    ui.add(edit)
+}
+
+/// Returns the text in colours, what is wrong underlined.
+fn highlighted(ui: &Ui, language: Language, text: &str, wrong: Option<&Range<usize>>) -> LayoutJob {
     let font = TextStyle::Monospace.resolve(ui.style());
     let format = |tone: Tone| TextFormat::simple(font.clone(), tone.color(ui));
     let mut job = LayoutJob::default();

@@ -1,7 +1,5 @@
 //! The window on a harness: clicks by accessible name, pictures in both themes.
 
-#![allow(dead_code, reason = "each test binary uses its own part of it")]
-
 use dashboard::{
     app::Dashboard,
     request::{Request, Ticket},
@@ -14,19 +12,27 @@ use egui_kittest::{
 /// The window with a dashboard in it.
 pub(crate) type Window = Harness<'static, Dashboard>;
 
-/// The same.
-pub(crate) type Screen = Window;
-
 /// Shows a dashboard in a window of the usual size.
 pub(crate) fn show(dashboard: Dashboard) -> Window {
-    show_in(dashboard, egui::Theme::Dark, [1_440.0, 860.0])
+    show_in(dashboard, Theme::Dark, [1_440.0, 860.0])
 }
 
-/// Shows a dashboard.
-pub(crate) fn show_in(dashboard: Dashboard, theme: egui::Theme, size: [f32; 2]) -> Window {
+/// Shows a dashboard in a window of so many points.
+pub(crate) fn show_in(dashboard: Dashboard, theme: Theme, size: [f32; 2]) -> Window {
+    show_at(dashboard, theme, size, 1.0)
+}
+
+/// Shows a dashboard in a window of so many points, each of so many pixels.
+pub(crate) fn show_at(
+    dashboard: Dashboard,
+    theme: Theme,
+    size: [f32; 2],
+    pixels_per_point: f32,
+) -> Window {
     let mut window = Harness::builder()
         .with_size(size)
         .with_theme(theme)
+        .with_pixels_per_point(pixels_per_point)
         .with_context_setup(dashboard::theme::apply)
         .build_ui_state(
             |ui, dashboard: &mut Dashboard| {
@@ -65,14 +71,37 @@ pub(crate) fn shows(window: &Window, words: &str) -> bool {
     window.query_all_by_label_contains(words).next().is_some()
 }
 
-/// Compares with the pictures `<name>_dark.png` and `<name>_light.png`.
-pub(crate) fn snapshot(name: &str, prepare: impl Fn(egui::Theme) -> Window) {
-    let mut results = SnapshotResults::new();
+/// Returns what was asked since the last call.
+pub(crate) fn asked(screen: &mut Window) -> Vec<(Ticket, Request)> {
+    let now = screen.state().model.now();
+    let asked = screen.state_mut().take_requests(now);
+    screen.run_steps(2);
+    asked
+}
+
+/// Begins what was asked of files, waits until it is done, and shows it.
+pub(crate) fn do_files(window: &mut Window) {
+    let context = window.ctx.clone();
+    for (ticket, request) in asked(window) {
+        let is_file = window.state_mut().files.ask(&context, ticket, &request);
+        assert!(is_file, "{request:?}");
+    }
+    window.run_steps(1);
+    window.state_mut().files.wait();
+    window.run_steps(3);
+}
+
+/// Small, so that each picture stays below 100 kB; also what a small screen shows.
+pub(crate) const PICTURE_SIZE: [f32; 2] = [980.0, 560.0];
+
+/// Compares with the pictures `<name>_dark.png` and `<name>_light.png`, which were looked at.
+pub(crate) fn picture(name: &str, prepare: impl Fn(Theme) -> Window) {
     // Other versions of the software renderer draw edges of glyphs a little differently.
     let options = SnapshotOptions::new()
         .threshold(OsThreshold::new(1.5))
         .max_failed_pixels(OsThreshold::new(400));
-    for (theme, suffix) in [(egui::Theme::Dark, "dark"), (egui::Theme::Light, "light")] {
+    let mut results = SnapshotResults::new();
+    for (theme, suffix) in [(Theme::Dark, "dark"), (Theme::Light, "light")] {
         let mut window = prepare(theme);
         window.snapshot_options(format!("{name}_{suffix}"), &options);
         results.extend_harness(&mut window);
@@ -80,30 +109,12 @@ pub(crate) fn snapshot(name: &str, prepare: impl Fn(egui::Theme) -> Window) {
     results.unwrap();
 }
 
-/// Returns what was asked since the last call.
-pub(crate) fn asked(screen: &mut Screen) -> Vec<(Ticket, Request)> {
-    let now = screen.state().model.now();
-    let asked = screen.state_mut().take_requests(now);
-    screen.run_steps(2);
-    asked
-}
-
-/// Small, so that each picture stays below 100 kB; also what a small screen shows.
-const PICTURE_SIZE: [f32; 2] = [980.0, 560.0];
-
-/// Compares pictures, dark and light, with those that were looked at.
-pub(crate) fn picture(name: &str, dashboard: impl Fn() -> Dashboard) {
-    // Other versions of the software renderer draw edges of glyphs a little differently.
-    let options = SnapshotOptions::new()
-        .threshold(OsThreshold::new(1.5))
-        .max_failed_pixels(OsThreshold::new(400));
-    let mut results = SnapshotResults::new();
-    for (theme, suffix) in [(Theme::Dark, "dark"), (Theme::Light, "light")] {
-        let mut screen = show_in(dashboard(), theme, PICTURE_SIZE);
-        screen.remove_cursor();
-        screen.run_steps(2);
-        screen.snapshot_options(format!("{name}_{suffix}"), &options);
-        results.extend_harness(&mut screen);
-    }
-    results.unwrap();
+/// The same of a dashboard in a small window.
+pub(crate) fn picture_of(name: &str, dashboard: impl Fn() -> Dashboard) {
+    picture(name, |theme| {
+        let mut window = show_in(dashboard(), theme, PICTURE_SIZE);
+        window.remove_cursor();
+        window.run_steps(2);
+        window
+    });
 }

@@ -1,8 +1,7 @@
 //! The composer: checked while typing, previewed, opened from files, sent, answered node by node.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, job, node, tell};
+use crate::screen::{Window, asked, button, click, do_files, picture_of, show, shows};
 use dashboard::{
     app::Dashboard,
     message::{Answer, FileOutcome, Message},
@@ -11,9 +10,7 @@ use dashboard::{
 };
 use egui::Role;
 use egui_kittest::kittest::Queryable as _;
-use fixture::{at_ms, fleet, job, node, tell};
 use keys::record::{ErrorCode, JobError, JobState, Receipt};
-use screen::{Screen, asked, button, click, picture, show, shows};
 use std::collections::BTreeSet;
 
 const SQUARE: &str = r#"{"commands":[
@@ -101,7 +98,7 @@ fn a_selection_gets_a_job_for_each_node_and_one_answer_from_each() {
         at_ms(1_000),
         Message::Answer { ticket, answer },
     );
-    let record = fixture::job_record("j-1", "cell-a-1", JobState::Running, 1, 5);
+    let record = crate::fixture::job_record("j-1", "cell-a-1", JobState::Running, 1, 5);
     tell(
         screen.state_mut(),
         at_ms(1_000),
@@ -112,7 +109,7 @@ fn a_selection_gets_a_job_for_each_node_and_one_answer_from_each() {
     assert!(shows(&screen, "refused: stopped: cell-a-2 is stopped"));
 }
 
-fn opened(screen: &mut Screen, text: &str) -> String {
+fn opened(screen: &mut Window, text: &str) -> String {
     let asked = asked(screen);
     let [(ticket, Request::ReadFile { path })] = &asked[..] else {
         panic!("one file is read, not {asked:?}");
@@ -148,17 +145,10 @@ fn a_file_is_opened_and_its_name_says_the_language() {
 #[test]
 fn a_file_that_cannot_be_read_says_why_and_leaves_the_text() {
     let mut screen = show(composing("cell-a-2", SQUARE));
-    screen.state_mut().view.composer.file = "nowhere.json".to_owned();
+    screen.state_mut().view.composer.file = "/nowhere/at/all.json".to_owned();
     screen.run_steps(2);
     button(&mut screen, "Open file");
-    let ticket = asked(&mut screen)[0].0;
-    let outcome = dashboard::job_files::read("/nowhere/at/all.json");
-    tell(
-        screen.state_mut(),
-        at_ms(1_000),
-        Message::File { ticket, outcome },
-    );
-    screen.run_steps(2);
+    do_files(&mut screen);
     assert!(shows(&screen, "✖ /nowhere/at/all.json"));
     assert_eq!(screen.state().view.composer.text, SQUARE);
 }
@@ -211,11 +201,11 @@ fn a_text_that_is_too_long_to_edit_is_sent_as_it_is() {
 
 #[test]
 fn picture_of_the_composer() {
-    picture("composer", || composing("cell-a-$*", SQUARE));
+    picture_of("composer", || composing("cell-a-$*", SQUARE));
 }
 
 #[test]
 fn picture_of_an_error_in_the_composer() {
     let wrong = SQUARE.replacen("1000", "0", 1);
-    picture("composer_error", || composing("cell-a-2", &wrong));
+    picture_of("composer_error", || composing("cell-a-2", &wrong));
 }

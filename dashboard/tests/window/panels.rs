@@ -1,8 +1,7 @@
 //! Every panel, clicked by its accessible names, with a model fed from messages.
 
-mod fixture;
-mod screen;
-
+use crate::fixture::{at_ms, fleet, job, node, status, tell, tell_status};
+use crate::screen::{button, click, picture_of, show, shows};
 use dashboard::{
     app::Dashboard,
     message::{Answer, LinkEvent, Message},
@@ -11,17 +10,15 @@ use dashboard::{
 };
 use egui::{Key, Modifiers, Role};
 use egui_kittest::{Harness, kittest::Queryable as _};
-use fixture::{at_ms, fleet, job, node, status, tell, tell_status};
 use keys::{
     NodeState, StopMode,
     record::{ErrorCode, JobError, JobState, Receipt},
 };
-use screen::{button, click, picture, show, shows};
 use std::collections::BTreeSet;
 
 /// Returns what was asked since the last call, without the tickets.
-fn asked(harness: &mut screen::Screen) -> Vec<Request> {
-    let asked = screen::asked(harness).into_iter();
+fn asked(harness: &mut crate::screen::Window) -> Vec<Request> {
+    let asked = crate::screen::asked(harness).into_iter();
     asked.map(|(_, request)| request).collect()
 }
 
@@ -260,7 +257,7 @@ fn a_job_is_checked_sent_and_followed() {
     tell(harness.state_mut(), now, Message::Answer { ticket, answer });
     harness.run_steps(2);
     assert!(shows(&harness, "refused: stopped: cell-a-3 is stopped"));
-    let done = fixture::job_record("x", "cell-a-1", JobState::Succeeded, 1, 1);
+    let done = crate::fixture::job_record("x", "cell-a-1", JobState::Succeeded, 1, 1);
     tell(harness.state_mut(), now, Message::Job(Box::new(done)));
     harness.run_steps(2);
     button(&mut harness, "✔ x: succeeded");
@@ -341,12 +338,12 @@ fn the_keys_are_shown_by_a_question_mark() {
 
 #[test]
 fn picture_of_the_fleet_and_the_jobs() {
-    picture("fleet", fleet);
+    picture_of("fleet", fleet);
 }
 
 #[test]
 fn picture_of_a_stop_that_somebody_misses() {
-    picture("stop", || {
+    picture_of("stop", || {
         let mut dashboard = fleet();
         dashboard.requests.push(stop_all());
         dashboard.take_requests(at_ms(1_000));
@@ -361,7 +358,7 @@ fn picture_of_a_stop_that_somebody_misses() {
 
 #[test]
 fn picture_of_a_node_and_the_composer() {
-    picture("node", || {
+    picture_of("node", || {
         let mut dashboard = fleet();
         dashboard.view.focus = Some(node("cell-a-1"));
         dashboard.view.tab = Tab::Compose;
@@ -373,7 +370,7 @@ fn picture_of_a_node_and_the_composer() {
 
 #[test]
 fn picture_of_the_log_and_the_keys() {
-    picture("log", || {
+    picture_of("log", || {
         let mut dashboard = fleet();
         dashboard.view.tab = Tab::Log;
         dashboard.view.help_open = true;
@@ -383,7 +380,7 @@ fn picture_of_the_log_and_the_keys() {
 
 #[test]
 fn picture_of_a_job_in_detail() {
-    picture("job", || {
+    picture_of("job", || {
         let mut dashboard = fleet();
         dashboard.view.jobs.open = Some(job("cut-7"));
         dashboard
@@ -392,11 +389,11 @@ fn picture_of_a_job_in_detail() {
 
 #[test]
 fn picture_before_anything_is_connected() {
-    picture("no_gateway", || {
+    picture_of("no_gateway", || {
         let mut dashboard = Dashboard::default();
         let to = "tcp/localhost:7447".to_owned();
         let connecting = Message::Link(LinkEvent::Connecting { to });
-        tell(&mut dashboard, fixture::START, connecting);
+        tell(&mut dashboard, crate::fixture::START, connecting);
         let why = "nothing that speaks zenoh answers at tcp/localhost:7447".to_owned();
         tell(
             &mut dashboard,

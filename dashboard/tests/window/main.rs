@@ -1,0 +1,16 @@
+//! The window, clicked by its accessible names, with a model fed from messages, and its pictures.
+//! One program, because each would be linked with all of egui and a renderer.
+
+mod fixture;
+mod screen;
+
+mod alarms;
+mod composer;
+mod groups;
+mod history;
+mod node_page;
+mod panels;
+mod pulses;
+mod recording;
+mod scale;
+mod timeline;
