@@ -29,8 +29,6 @@
 mod run;
 mod slower;
 
-use slower::slower_step;
-
 use crate::{
     limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
     profile::Timing,
@@ -253,28 +251,6 @@ impl Encoder {
         self.low_ticks = lead_ticks;
         self.spread(&mut out, lead_ticks);
         self.finish(out)
-    }
-
-    /// Leaves the plan and slows down, no farther than the plan would have gone: `steps_ahead` is
-    /// what it had behind the present segment. The ring must be cleared by the caller.
-    pub(crate) fn decelerate(&mut self, goes_on: bool, steps_ahead: u64) {
-        if self.stopping_mhz.is_some() {
-            return;
-        }
-        let moves = self.steps_left > 0 || (goes_on && !self.resting);
-        let speed_mhz = if moves && self.interval_ticks > 0 {
-            1_000 * TICK_HZ / self.interval_ticks
-        } else {
-            0
-        };
-        if speed_mhz * speed_mhz < self.lost_speed() {
-            // No step follows, so nobody need wait for its time: that may be an hour.
-            self.low_ticks = 0;
-        }
-        self.stopping_steps_max = u64::from(self.steps_left) + steps_ahead;
-        self.steps_left = 0;
-        self.turn = Turn::None;
-        self.stopping_mhz = Some(speed_mhz);
     }
 
     /// Writes the next half block.
@@ -515,32 +491,6 @@ impl Encoder {
         }
         self.low_ticks -= ticks;
         self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(ticks);
-    }
-
-    /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
-    fn lost_speed(&self) -> u64 {
-        2_000_000 * u64::from(self.timing.stop_accel_hz_per_s)
-    }
-
-    /// Writes a step of a controlled stop, or the end.
-    fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
-        let lost = self.lost_speed();
-        let left = (speed_mhz * speed_mhz).checked_sub(lost);
-        let Some(square) = left.filter(|_| self.stopping_steps_max > 0) else {
-            self.stopping_mhz = Some(0);
-            self.end(out);
-            return;
-        };
-        self.stopping_steps_max -= 1;
-        let (slower_mhz, interval_ticks) = slower_step(speed_mhz, square, lost);
-        let high_ticks = self.timing.high_of(interval_ticks);
-        self.stopping_mhz = Some(slower_mhz);
-        self.write_step(
-            high_ticks,
-            interval_ticks - high_ticks,
-            LOW_WORD_TICKS_MAX,
-            out,
-        );
     }
 
     /// Writes the end marker, after the rest that a turn of the next start relies on.

@@ -85,6 +85,10 @@ enum Hold {
 
 /// Where motion is held.
 #[derive(Clone, Copy, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one, and nothing is allocated"
+)]
 enum Place {
     /// Within this line.
     Path(Split),

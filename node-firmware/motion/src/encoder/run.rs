@@ -3,10 +3,7 @@
 //! All in 32 bits: an interval is whole ticks and a fraction of 2⁻³², so that a step costs an
 //! addition and its carry; what holds for the whole run is decided once before it.
 
-use super::{
-    Encoder, Out,
-    slower::{is_quick, slower},
-};
+use super::{Encoder, Out};
 use crate::{segment::FRACTION_BITS, symbol::Symbol};
 
 impl Encoder {
@@ -66,42 +63,6 @@ impl Encoder {
         out.facts.has_steps = true;
         out.facts.ticks += sum.ticks;
         out.count += count;
-        true
-    }
-}
-
-impl Encoder {
-    /// Writes steps of a controlled stop, as many as there is room for: those that need one word
-    /// each and lose little speed. Returns whether there were any.
-    pub(super) fn slower_run(&mut self, speed_mhz: u64, out: &mut Out) -> bool {
-        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min) as u32;
-        let most_ticks = in_word + self.timing.high_ticks_min as u32;
-        let lost = self.lost_speed();
-        let before = out.count;
-        let Ok(mut speed) = u32::try_from(speed_mhz) else {
-            return false;
-        };
-        let mut last = Symbol::END;
-        while out.left() > 0 && self.stopping_steps_max > 0 {
-            if !is_quick(speed, lost) {
-                break;
-            }
-            let (slower, interval) = slower(speed, lost);
-            if interval > most_ticks {
-                break;
-            }
-            let high = self.timing.high_of(u64::from(interval));
-            last = Symbol::step(high, u64::from(interval) - high);
-            out.push_step(last);
-            self.stopping_steps_max -= 1;
-            speed = slower;
-        }
-        if out.count == before {
-            return false;
-        }
-        self.stopping_mhz = Some(u64::from(speed));
-        self.low_ticks_since_step = last.second().0;
-        self.resting = false;
         true
     }
 }

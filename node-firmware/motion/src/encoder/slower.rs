@@ -1,14 +1,102 @@
 //! The arithmetic of a controlled stop: v² falls by 2a with each step, the interval is 2 / (v₀ + v₁).
 //! All of it without a division of more than 32 bits, which the chip does not have.
 
-use crate::limits::TICK_HZ;
+use super::{Encoder, Out, Turn};
+use crate::{
+    limits::{LOW_WORD_TICKS_MAX, TICK_HZ},
+    symbol::Symbol,
+};
+
+impl Encoder {
+    /// Leaves the plan and slows down, no farther than the plan would have gone: `steps_ahead` is
+    /// what it had behind the present segment. The ring must be cleared by the caller.
+    pub(crate) fn decelerate(&mut self, goes_on: bool, steps_ahead: u64) {
+        if self.stopping_mhz.is_some() {
+            return;
+        }
+        let moves = self.steps_left > 0 || (goes_on && !self.resting);
+        let speed_mhz = if moves && self.interval_ticks > 0 {
+            1_000 * TICK_HZ / self.interval_ticks
+        } else {
+            0
+        };
+        if speed_mhz * speed_mhz < self.lost_speed() {
+            // No step follows, so nobody need wait for its time: that may be an hour.
+            self.low_ticks = 0;
+        }
+        self.stopping_steps_max = u64::from(self.steps_left) + steps_ahead;
+        self.steps_left = 0;
+        self.turn = Turn::None;
+        self.stopping_mhz = Some(speed_mhz);
+    }
+
+    /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
+    pub(super) fn lost_speed(&self) -> u64 {
+        2_000_000 * u64::from(self.timing.stop_accel_hz_per_s)
+    }
+
+    /// Writes a step of a controlled stop, or the end.
+    pub(super) fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
+        let lost = self.lost_speed();
+        let left = (speed_mhz * speed_mhz).checked_sub(lost);
+        let Some(square) = left.filter(|_| self.stopping_steps_max > 0) else {
+            self.stopping_mhz = Some(0);
+            self.end(out);
+            return;
+        };
+        self.stopping_steps_max -= 1;
+        let (slower_mhz, interval_ticks) = slower_step(speed_mhz, square, lost);
+        let high_ticks = self.timing.high_of(interval_ticks);
+        self.stopping_mhz = Some(slower_mhz);
+        self.write_step(
+            high_ticks,
+            interval_ticks - high_ticks,
+            LOW_WORD_TICKS_MAX,
+            out,
+        );
+    }
+
+    /// Writes steps of a controlled stop, as many as there is room for: those that need one word
+    /// each and lose little speed. Returns whether there were any.
+    pub(super) fn slower_run(&mut self, speed_mhz: u64, out: &mut Out) -> bool {
+        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min) as u32;
+        let most_ticks = in_word + self.timing.high_ticks_min as u32;
+        let lost = self.lost_speed();
+        let before = out.count;
+        let Ok(mut speed) = u32::try_from(speed_mhz) else {
+            return false;
+        };
+        let mut last = Symbol::END;
+        while out.left() > 0 && self.stopping_steps_max > 0 {
+            if !is_quick(speed, lost) {
+                break;
+            }
+            let (slower, interval) = slower(speed, lost);
+            if interval > most_ticks {
+                break;
+            }
+            let high = self.timing.high_of(u64::from(interval));
+            last = Symbol::step(high, u64::from(interval) - high);
+            out.push_step(last);
+            self.stopping_steps_max -= 1;
+            speed = slower;
+        }
+        if out.count == before {
+            return false;
+        }
+        self.stopping_mhz = Some(u64::from(speed));
+        self.low_ticks_since_step = last.second().0;
+        self.resting = false;
+        true
+    }
+}
 
 /// Twice the ticks of a second, in 1/1000: divided by the sum of two speeds in mHz it gives ticks.
 const TWICE: u64 = 2_000 * TICK_HZ;
 
 /// Returns the speed behind a step that leaves `square` (mHz²) of the speed's square, `lost` less
 /// than before; and the step's interval, ticks.
-pub(super) fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) {
+fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) {
     match u32::try_from(speed_mhz) {
         Ok(speed) if is_quick(speed, lost) => {
             let (slower, interval) = slower(speed, lost);
@@ -22,7 +110,7 @@ pub(super) fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) 
 }
 
 /// Returns whether [`slower`] can compute a step.
-pub(super) fn is_quick(speed: u32, lost: u64) -> bool {
+fn is_quick(speed: u32, lost: u64) -> bool {
     let square = u64::from(speed) * u64::from(speed);
     speed >= SLOWER_MHZ_MIN && lost <= square >> SLOWER_BITS
 }
@@ -69,7 +157,7 @@ const SLOWER_MHZ_MIN: u32 = 1 << 21;
 /// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
 /// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
 /// mHz, from [`SLOWER_MHZ_MIN`].
-pub(super) fn slower(speed: u32, lost: u64) -> (u32, u32) {
+fn slower(speed: u32, lost: u64) -> (u32, u32) {
     let shift = speed.leading_zeros();
     let divisor = u64::from(speed << shift);
     let short = u64::from(u32::MAX / (divisor >> 16) as u32);

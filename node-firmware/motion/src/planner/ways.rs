@@ -40,6 +40,7 @@ pub(super) struct Way {
 
 /// Where a way was left.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::large_enum_variant, reason = "it lives for one call")]
 pub(crate) enum Left {
     /// At rest, from this tick on.
     Resting {

@@ -1,6 +1,7 @@
 extern crate std;
 
 use super::*;
+use crate::Ticks;
 use crate::limits::TICKS_PER_US;
 use std::string::{String, ToString};
 

@@ -1,0 +1,79 @@
+//! A stretch of path: a line, or a part of one where it was changed in flight.
+
+use crate::{
+    law::Law,
+    limits::CHANNELS,
+    lookahead::Line,
+    path::{Path, State},
+    profile::Timing,
+    real::Real,
+    steps::{Exit, Moment, Steps},
+};
+
+/// What a stretch of path does at its end.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Goal {
+    /// It makes the line's way and leaves it at this speed.
+    Leave(Real),
+    /// It comes to rest as soon as the law allows, or leaves the line slowing down.
+    Rest,
+}
+
+/// A stretch of path: a line, or a part of one where it was changed in flight. Small, so that many
+/// can be kept; its path and its edges are made when they are written.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretch {
+    pub(super) line: Line,
+    pub(super) from: State,
+    pub(super) goal: Goal,
+    /// It was left at this time for another one.
+    pub(super) until: Option<Real>,
+    pub(super) begin: Moment,
+    pub(super) end_ticks: u64,
+    pub(super) exit: Exit,
+    /// Booked steps of each axis where the line began.
+    pub(super) base_steps: [i64; CHANNELS],
+}
+
+impl Stretch {
+    pub(super) fn path(&self) -> Path {
+        let way = Real::of(self.line.major_steps);
+        let law = &self.line.law;
+        let mut path = match self.goal {
+            Goal::Leave(speed) => {
+                let most = self.line.speed_max;
+                Path::plan(self.from, way, speed, most, law)
+                    .or_else(|_| Path::plan(self.from, way, self.from.speed, most, law))
+                    .unwrap_or_else(|_| slow_down(self.from, way, law))
+            }
+            Goal::Rest => slow_down(self.from, way, law),
+        };
+        if let Some(ticks) = self.until {
+            path.cut(ticks);
+        }
+        path
+    }
+
+    /// Returns the edges of its path.
+    pub(super) fn steps(&self, path: &Path, timing: &[Timing]) -> Steps {
+        let line = &self.line;
+        Steps::new(
+            *path,
+            self.begin,
+            self.exit,
+            line.major_steps,
+            line.steps,
+            timing,
+        )
+    }
+}
+
+/// Comes to rest, at the latest where the line ends.
+fn slow_down(from: State, way: Real, law: &Law) -> Path {
+    let mut path = Path::at(from);
+    path.come_to_rest(law);
+    if path.end_steps() > way {
+        path.cut(path.ticks_at(way));
+    }
+    path
+}
