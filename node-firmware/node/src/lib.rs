@@ -427,10 +427,6 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         if let Some(message) = self.outbox.pop_start() {
             return Some(outbound(NodeTopic::Start, &message));
         }
-        if self.pace.due {
-            self.pace.due = false;
-            return Some(outbound(NodeTopic::Pace, &self.pace_message()));
-        }
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
         }
@@ -438,6 +434,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_due = false;
             self.status_told_at = now;
             return Some(outbound(NodeTopic::Status, &self.status()));
+        }
+        if self.pace.due {
+            self.pace.due = false;
+            return Some(outbound(NodeTopic::Pace, &self.pace_message()));
         }
         if let Slot::Ended { report, text, .. } = &self.script
             && self.report_due

@@ -228,11 +228,11 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// Lets the script go on, if there is one and it can.
     pub(crate) fn run_script(&mut self, now: LocalMicros) {
-        if self.phase != Phase::Open {
-            return;
-        }
         if !self.script.is_running() {
             return self.say_report(now);
+        }
+        if self.phase != Phase::Open {
+            return;
         }
         let Slot::Running {
             first_command,

@@ -12,7 +12,7 @@ use rig::{Rig, random, steps};
 use scripts::{last, script_orders, send};
 
 /// Scripts of one run.
-const SCRIPTS: u64 = 100;
+const SCRIPTS: u64 = 30;
 
 #[test]
 fn a_node_that_runs_hostile_scripts_stays_alive_and_does_its_work() {
@@ -23,7 +23,6 @@ fn a_node_that_runs_hostile_scripts_stays_alive_and_does_its_work() {
         }
         Err(_) => 1..=SCRIPTS,
     };
-    let mut stopped_count = 0;
     for seed in seeds {
         let mut config = rig::config();
         config.record = Recording::Edges { max: 1_000_000 };
@@ -37,14 +36,14 @@ fn a_node_that_runs_hostile_scripts_stays_alive_and_does_its_work() {
         for order in script_orders(&rig, "hostile", &text, 1000) {
             let _ = rig.order_bytes(&order);
         }
-        let before = rig.statuses().len();
-        rig.run_for(500_000);
+        rig.run_for(2_500_000);
+        // Ten a second while it works, one a second when the script has ended and took the queue with it.
+        let told: Vec<u64> = rig.statuses().iter().map(|(at, _)| at.0).collect();
+        let silent_us = told.windows(2).map(|pair| pair[1] - pair[0]).max();
         assert!(
-            rig.statuses().len() >= before + 5,
-            "seed {seed}: the status stopped\n{text}"
+            told.len() > 3 && silent_us <= Some(1_000_000),
+            "seed {seed}: {silent_us:?} µs without a status\n{text}"
         );
-        let was_stopped = rig.state() == NodeState::Stopped;
-        stopped_count += u64::from(was_stopped);
         // Whatever it does: a stop is heard at once, and after the release everything is as before.
         rig.stop(StopMode::Halt);
         rig.run_for(200_000);
@@ -72,5 +71,4 @@ fn a_node_that_runs_hostile_scripts_stays_alive_and_does_its_work() {
             panic!("seed {seed}: {}\n{text}", violations[0]);
         }
     }
-    println!("{stopped_count} scripts asked for an emergency stop or were ended by one");
 }

@@ -5,9 +5,8 @@ mod scripts;
 
 use emulator::{EmulatorConfig, Recording, oracle};
 use keys::{
-    AxisId, BatchHeader, Command, NodeState, NodeTopic, Order, Refusal, ScriptHeader,
-    ScriptOutcome, ScriptReport, StopMode, Verdict,
-    batch::ORDER_BYTES_MAX,
+    AxisId, BatchHeader, Command, NodeState, NodeTopic, Order, Refusal, ScriptOutcome, StopMode,
+    Verdict,
     start::{BarrierName, StartMessage},
     version,
 };
@@ -122,6 +121,22 @@ fn a_report_is_said_again_until_it_is_seen() {
     });
     rig.run_for(3_000_000);
     assert_eq!(count(&rig), told + 1);
+}
+
+#[test]
+fn a_report_is_said_by_a_stopped_node_too_and_does_not_keep_it_awake() {
+    let mut rig = Rig::new(config());
+    send(&mut rig, "error('x')");
+    rig.run_for(100_000);
+    rig.stop(StopMode::Halt);
+    let count = |rig: &Rig| {
+        let reports = rig.sent.iter().filter(|sent| sent.1 == NodeTopic::Report);
+        reports.count()
+    };
+    let before = count(&rig);
+    rig.run_for(3_000_000);
+    assert_eq!(rig.state(), NodeState::Stopped);
+    assert_eq!(count(&rig), before + 6);
 }
 
 #[test]
