@@ -2,9 +2,11 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, ValueEnum};
+#[cfg(unix)]
+use emulator::board::EmulatedBoard;
 use emulator::{
-    Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX, oracle,
-    record::Life, verdict, wiring::Wiring,
+    Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX,
+    flash::Flash, oracle, record::Life, verdict, wiring::Wiring,
 };
 use keys::{Keys, NodeId};
 use motion::limits::CHANNELS;
@@ -26,7 +28,8 @@ use std::{
     emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
     emulator --home 0:min@-300 --limit 0:max@5000   axis 0 can be homed, and has a limit\n  \
     emulator --scripts scripts --boot-script  stored scripts in files; the one named boot runs at the start\n  \
-    emulator --nodes 4 --check                judge every pulse; exit code 1 on a violation\n\n\
+    emulator --nodes 4 --check                judge every pulse; exit code 1 on a violation\n  \
+    emulator --flash left.flash --serial left.port   a whole board: fleet provision ./left.port …\n\n\
     Exit codes: 0 stopped by a signal, 1 --check found a violation or an error, 2 bad option.")]
 struct Args {
     /// Name of the node; with --nodes above 1 what the names begin with: NAME-1, NAME-2, …
@@ -123,6 +126,17 @@ struct Args {
     /// stands in the dump too, where the dashboard shows it.
     #[arg(long)]
     check: bool,
+
+    /// Emulate a whole board with its flash in this file, made blank if it is not there: name, router,
+    /// user and axes come from what `fleet provision` has told it, and `fleet update` gives it other
+    /// firmware.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "nodes", "connect", "prefix", "user", "vcd"])]
+    flash: Option<PathBuf>,
+
+    /// Where the board's serial port is to be found: a link that is made, and removed at the end.
+    /// Without it the port's own path is printed.
+    #[arg(long, value_name = "LINK", requires = "flash")]
+    serial: Option<PathBuf>,
 
     /// Where random numbers of the virtual pulse unit come from.
     #[arg(long, default_value_t = 0)]
@@ -261,6 +275,10 @@ async fn main() -> Result<ExitCode> {
         .with_writer(std::io::stderr)
         .init();
     let args = Args::parse();
+    #[cfg(unix)]
+    if let Some(file) = &args.flash {
+        return run_board(&args, file).await;
+    }
     let mut handles = Vec::new();
     for config in args.configs()? {
         let name = config.name;
@@ -282,6 +300,37 @@ async fn main() -> Result<ExitCode> {
     finish(handles, args.check).await
 }
 
+/// Runs a whole board until a signal.
+#[cfg(unix)]
+async fn run_board(args: &Args, file: &Path) -> Result<ExitCode> {
+    let flash = Flash::open(file).with_context(|| format!("--flash {}", file.display()))?;
+    let base = args.configs()?.swap_remove(0);
+    let board = EmulatedBoard::power_on(flash, base)?;
+    if let Some(link) = &args.serial {
+        let context = || format!("--serial {}", link.display());
+        // Left over from a board whose power was cut.
+        if link.is_symlink() {
+            std::fs::remove_file(link).with_context(context)?;
+        }
+        std::os::unix::fs::symlink(board.port(), link).with_context(context)?;
+    } else {
+        println!("{}", board.port());
+    }
+    wait_for_signal().await?;
+    if let Some(link) = &args.serial {
+        std::fs::remove_file(link).with_context(|| format!("--serial {}", link.display()))?;
+    }
+    let mut good = true;
+    let lives = board.power_off().await;
+    if args.check {
+        good = judge("board", &lives);
+    }
+    if !good {
+        bail!("violations found");
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
 /// Ends all nodes and judges them if that was asked for.
 async fn finish(handles: Vec<(EmulatedHandle, Option<PathBuf>)>, check: bool) -> Result<ExitCode> {
     let mut good = true;
@@ -292,7 +341,7 @@ async fn finish(handles: Vec<(EmulatedHandle, Option<PathBuf>)>, check: bool) ->
             .with_context(|| format!("{name}: the value change dump is not whole"))?;
         let lives = handle.shutdown().await;
         if check {
-            good &= judge(&name, &lives);
+            good &= judge(name.as_str(), &lives);
             // The dump ends with the first boot.
             if let (Some(path), Some(life)) = (dump, lives.first()) {
                 append_verdict(&path, life).with_context(|| format!("--vcd {}", path.display()))?;
@@ -313,7 +362,7 @@ fn append_verdict(path: &Path, life: &Life) -> std::io::Result<()> {
 }
 
 /// Prints the verdict on one node; `false` on a violation.
-fn judge(name: &NodeId, lives: &[Life]) -> bool {
+fn judge(name: &str, lives: &[Life]) -> bool {
     let mut good = true;
     for life in lives {
         match oracle::check_life(life) {

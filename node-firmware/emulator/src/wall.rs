@@ -299,6 +299,15 @@ impl EmulatedHandle {
         result
     }
 
+    /// Returns a look at the node as it is, for another thread.
+    pub(crate) fn look<R, F>(&self, f: F) -> impl Fn() -> R + use<R, F>
+    where
+        F: Fn(&EmulatedNode) -> R,
+    {
+        let shared = self.shared.clone();
+        move || f(&shared.node())
+    }
+
     /// Returns its name.
     pub fn name(&self) -> NodeId {
         self.shared.node().name()

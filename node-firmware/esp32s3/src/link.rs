@@ -1,14 +1,21 @@
 //! Core 0: the zenoh client. The node is on the other core; what stands in for it here moves
 //! messages between the session and two queues.
 
-use crate::plan::{LINK, OUTGOING, Parcel, STOP, WAKE, now};
+use crate::{
+    flash::{BootLoader, CoreFlash},
+    plan::{LINK, OUTGOING, Parcel, STOP, WAKE, in_window, now},
+};
 use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
 use core::{cell::RefCell, future::poll_fn, pin::pin, sync::atomic::Ordering};
 use embassy_net::{IpAddress, IpEndpoint, Stack, dns::DnsQueryType, tcp::TcpSocket};
 use embassy_time::{Instant, Timer};
 use embedded_io_async::{ErrorType, Read, Write};
+use esp_hal::system::software_reset;
 use heapless::spsc::{Consumer, Producer};
-use keys::{Keys, LocalMicros, NodeId, NodeTopic, Stop, StopMode};
+use keys::{
+    Keys, LocalMicros, NodeId, NodeTopic, Stop, StopMode,
+    update::{UpdateMessage, UpdateRefusal, UpdateReply},
+};
 use node::{
     Inbound, Outbound,
     library::Library,
@@ -19,6 +26,10 @@ use pico::{
     session::{Session, SessionConfig},
 };
 use provision::record::{Record, router_address};
+use update::Keeper;
+
+/// From one attempt to restart or to confirm a firmware to the next, µs.
+const RETRY_US: u64 = 100_000;
 
 /// Bytes that TCP holds in each direction: two batches of the router's.
 const SOCKET_BYTES: usize = 16 * 1024;
@@ -29,13 +40,21 @@ struct Remote {
     outgoing: Consumer<'static, Outbound>,
     /// Empty: this board keeps no scripts yet, and a get says so.
     library: Library,
+    /// Takes other firmware; `None` if its journal is broken.
+    keeper: Option<BoardKeeper>,
 }
+
+/// What takes other firmware on a board.
+pub(crate) type BoardKeeper = Keeper<CoreFlash, BootLoader>;
 
 impl Host for Remote {
     fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
         match inbound {
             Inbound::LinkUp => {
                 LINK.fetch_or(1, Ordering::AcqRel);
+                if let Some(keeper) = self.keeper.as_mut() {
+                    keeper.link_up();
+                }
             }
             Inbound::LinkDown => {
                 let link = LINK.load(Ordering::Acquire);
@@ -75,10 +94,33 @@ impl Host for Remote {
         WAKE.signal(());
     }
 
-    fn poll(&mut self, _now: LocalMicros) {}
+    fn poll(&mut self, now: LocalMicros) {
+        let due = self.keeper.as_mut().filter(|keeper| keeper.is_due(now.0));
+        if let Some(keeper) = due
+            && in_window(|| keeper.poll(now.0, false)) == Some(true)
+        {
+            software_reset();
+        }
+    }
 
     fn poll_timeout(&self) -> Option<LocalMicros> {
-        None
+        let keeper = self.keeper.as_ref()?;
+        // Something that moves delays it: then it is looked at again soon.
+        let soonest_us = now().0 + RETRY_US;
+        keeper
+            .poll_timeout()
+            .map(|at_us| LocalMicros(at_us.max(soonest_us)))
+    }
+
+    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
+        let Some(keeper) = self.keeper.as_mut() else {
+            return UpdateReply::Refused(UpdateRefusal::NoSlot);
+        };
+        if *message == UpdateMessage::Look {
+            return keeper.handle(message, false, now.0);
+        }
+        in_window(|| keeper.handle(message, false, now.0))
+            .unwrap_or(UpdateReply::Refused(UpdateRefusal::Moving))
     }
 
     fn poll_outbox(&mut self, _now: LocalMicros) -> Option<Outbound> {
@@ -215,6 +257,7 @@ pub(crate) async fn run(
     seed: u64,
     incoming: Producer<'static, Parcel>,
     outgoing: Consumer<'static, Outbound>,
+    keeper: Option<BoardKeeper>,
 ) -> ! {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
@@ -232,6 +275,7 @@ pub(crate) async fn run(
             incoming,
             outgoing,
             library: Library::default(),
+            keeper,
         },
         link,
     };

@@ -12,6 +12,7 @@
 extern crate alloc;
 
 mod board;
+mod flash;
 mod lamp;
 mod link;
 mod outputs;
@@ -25,18 +26,19 @@ mod watchdog;
 mod wifi;
 
 use crate::{
+    flash::{BootLoader, CoreFlash},
     outputs::BoardOutputs,
     plan::{IN_MAX, OUT_MAX, Parcel, Planning},
     rmt::RmtBackend,
     serial::RecordFlash,
     stop_pin::StopPin,
 };
-use core::sync::atomic::AtomicU32;
+use core::{cell::RefCell, sync::atomic::AtomicU32};
 use embassy_executor::Spawner;
 use embassy_net::StackResources;
 use esp_hal::{
-    clock::CpuClock, interrupt::Priority, rng::Rng, timer::timg::TimerGroup,
-    usb::usb_serial_jtag::UsbSerialJtag,
+    clock::CpuClock, interrupt::Priority, rng::Rng, system::software_reset,
+    timer::timg::TimerGroup, usb::usb_serial_jtag::UsbSerialJtag,
 };
 use esp_rtos::embassy::InterruptExecutor;
 use esp_storage::FlashStorage;
@@ -47,15 +49,17 @@ use motion::{AxisProfile, MotionConfig, PlanMemory};
 use node::{Node, NodeConfig, Outbound};
 use provision::{Dialogue, Record, Store};
 use static_cell::{ConstStaticCell, StaticCell};
+use update::{Keeper, Layout};
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
 /// Version of the firmware, told in the first line of the node's log.
 const FIRMWARE: [u8; 3] = [0, 1, 0];
 
-/// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM.
+/// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM. On the ESP32-S3 it
+/// is what the boot loader leaves behind, which static data cannot have: 73,744 bytes.
 #[cfg(feature = "psram")]
-const HEAP_BYTES: usize = 96 * 1024;
+const HEAP_BYTES: usize = 72 * 1024;
 /// Without PSRAM it is what is left beside the axes: tight, for an image that checks the link.
 #[cfg(not(feature = "psram"))]
 const HEAP_BYTES: usize = 64 * 1024;
@@ -140,6 +144,9 @@ async fn main(spawner: Spawner) -> ! {
     let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
     let parts = esp_hal::init(config);
     panic::pins_off();
+    #[cfg(feature = "esp32s3")]
+    esp_alloc::heap_allocator!(#[esp_hal::ram(reclaimed)] size: HEAP_BYTES);
+    #[cfg(not(feature = "esp32s3"))]
     esp_alloc::heap_allocator!(size: HEAP_BYTES);
     let report = panic::take_report();
     #[cfg(feature = "psram")]
@@ -149,13 +156,32 @@ async fn main(spawner: Spawner) -> ! {
     let timers = TimerGroup::new(parts.TIMG0);
     esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
 
-    let flash = FlashStorage::new(parts.FLASH);
+    let storage = FlashStorage::new(parts.FLASH);
     #[cfg(feature = "dual")]
-    let flash = flash.multicore_auto_park();
-    let store = Store::new(RecordFlash(flash)).expect("the partition has two erase units");
+    let storage = storage.multicore_auto_park();
+    let storage = keep!(RefCell<FlashStorage<'static>>, RefCell::new(storage));
+    let flash = CoreFlash::new(storage);
+    let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
+        .expect("the partition has two erase units");
     let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
     let record = keep!(Record, dialogue.record().clone());
     let provisioned = record.is_complete();
+    let mut keeper = Keeper::boot(
+        flash,
+        Layout::BOARD,
+        BootLoader::new(flash),
+        FIRMWARE,
+        record.update_key,
+        plan::now().0,
+    )
+    .ok();
+    // A firmware that was tried before without success is left at once, before it can fail again.
+    if keeper
+        .as_mut()
+        .is_some_and(|keeper| keeper.poll(plan::now().0, false))
+    {
+        software_reset();
+    }
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
     let port = UsbSerialJtag::new(parts.USB_DEVICE).into_async();
     if !provisioned {
@@ -219,6 +245,7 @@ async fn main(spawner: Spawner) -> ! {
         random_u64(),
         to_node,
         from_node,
+        keeper,
     );
     match embassy_futures::select::select(link, serial::run(port, dialogue, false)).await {
         embassy_futures::select::Either::First(never)

@@ -56,6 +56,41 @@ pub(crate) static LINK: AtomicU32 = AtomicU32::new(0);
 pub(crate) static RSSI_DBM: AtomicI32 = AtomicI32::new(0);
 /// Something moves, so the flash must not be written.
 pub(crate) static MOVES: AtomicBool = AtomicBool::new(false);
+/// A window for the flash: see [`in_window`].
+static WINDOW: AtomicU8 = AtomicU8::new(CLOSED);
+const CLOSED: u8 = 0;
+/// Core 0 wants to write.
+const ASKED: u8 = 1;
+/// Nothing moves, and nothing begins to before it is closed.
+const OPEN: u8 = 2;
+/// Something moves.
+const REFUSED: u8 = 3;
+/// The planning task runs: from then on it is asked.
+static RUNS: AtomicBool = AtomicBool::new(false);
+
+/// Calls `write`, on core 0, while nothing moves and nothing begins to. `None`: something moves.
+pub(crate) fn in_window<T>(write: impl FnOnce() -> T) -> Option<T> {
+    if !RUNS.load(Ordering::Acquire) {
+        return Some(write());
+    }
+    WINDOW.store(ASKED, Ordering::Release);
+    WAKE.signal(());
+    // The planning task answers within a turn; if it hangs, its watchdog ends this too.
+    loop {
+        match WINDOW.load(Ordering::Acquire) {
+            OPEN => break,
+            REFUSED => {
+                WINDOW.store(CLOSED, Ordering::Release);
+                return None;
+            }
+            _ => core::hint::spin_loop(),
+        }
+    }
+    let result = write();
+    WINDOW.store(CLOSED, Ordering::Release);
+    Some(result)
+}
+
 /// The turn of the planning task: a watchdog watches it.
 pub(crate) static TURNS: AtomicU32 = AtomicU32::new(0);
 
@@ -80,7 +115,9 @@ impl<O: Outputs> Planning<O> {
         let mut link = 0;
         let mut rssi_dbm = 0;
         let mut events_kept = 0;
+        RUNS.store(true, Ordering::Release);
         loop {
+            self.give_window().await;
             self.take_stop();
             self.take_link(&mut link);
             while let Some(parcel) = self.incoming.dequeue() {
@@ -104,6 +141,25 @@ impl<O: Outputs> Planning<O> {
             self.node.motion_mut().backend_mut().resume();
             TURNS.fetch_add(1, Ordering::Relaxed);
             self.wait(moves).await;
+        }
+    }
+
+    /// Lets core 0 write the flash if nothing moves, and does nothing meanwhile.
+    async fn give_window(&self) {
+        if WINDOW.load(Ordering::Acquire) != ASKED {
+            return;
+        }
+        if self.node.motion().is_active() {
+            WINDOW.store(REFUSED, Ordering::Release);
+            return;
+        }
+        WINDOW.store(OPEN, Ordering::Release);
+        while WINDOW.load(Ordering::Acquire) == OPEN {
+            // Stopped by the other core in this loop, it holds no lock that the other one wants.
+            #[cfg(feature = "dual")]
+            core::hint::spin_loop();
+            #[cfg(not(feature = "dual"))]
+            Timer::after(Duration::from_micros(100)).await;
         }
     }
 

@@ -1,51 +1,15 @@
 //! The serial line: the dialogue with `fleet provision`, and a prompt for whoever looks.
 
-use crate::plan::MOVES;
-use core::sync::atomic::Ordering;
+use crate::{flash::CoreFlash, plan::in_window};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
-use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use esp_hal::{Async, system::software_reset, usb::usb_serial_jtag::UsbSerialJtag};
-use esp_storage::{FlashStorage, FlashStorageError};
-use provision::{Dialogue, frame::FRAME_BYTES_MAX};
-
-/// Where the record lies: `record` in partitions.csv.
-const RECORD_AT: u32 = 0x61_0000;
-const RECORD_BYTES: usize = 0x2000;
+use provision::{Dialogue, dialogue::PROMPT, frame::FRAME_BYTES_MAX};
+use update::Region;
 
 /// The region of the flash that the record lies in.
-#[derive(Debug)]
-pub(crate) struct RecordFlash(pub(crate) FlashStorage<'static>);
-
-impl ErrorType for RecordFlash {
-    type Error = FlashStorageError;
-}
-
-impl ReadNorFlash for RecordFlash {
-    const READ_SIZE: usize = FlashStorage::READ_SIZE;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashStorageError> {
-        ReadNorFlash::read(&mut self.0, RECORD_AT + offset, bytes)
-    }
-
-    fn capacity(&self) -> usize {
-        RECORD_BYTES
-    }
-}
-
-impl NorFlash for RecordFlash {
-    const WRITE_SIZE: usize = FlashStorage::WRITE_SIZE;
-    const ERASE_SIZE: usize = FlashStorage::ERASE_SIZE;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashStorageError> {
-        NorFlash::erase(&mut self.0, RECORD_AT + from, RECORD_AT + to)
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashStorageError> {
-        NorFlash::write(&mut self.0, RECORD_AT + offset, bytes)
-    }
-}
+pub(crate) type RecordFlash = Region<CoreFlash>;
 
 /// Talks for ever. `prompts`: nobody has told this node anything yet.
 pub(crate) async fn run(
@@ -62,18 +26,22 @@ pub(crate) async fn run(
             Either::First(Err(_)) => 0,
             Either::Second(()) => {
                 if prompts {
-                    let text = b"stepfleet node, not provisioned: \
-                        fleet provision PORT --name NAME --wifi SSID --router tcp/HOST:7447\r\n";
                     // Nobody listens: then nobody misses it.
                     let limit = Timer::after(Duration::from_millis(100));
-                    select(port.write_all(text), limit).await;
+                    select(port.write_all(PROMPT.as_bytes()), limit).await;
                 }
                 continue;
             }
         };
         for byte in &bytes[..count] {
-            let may_write = !MOVES.load(Ordering::Acquire);
-            if let Some(used) = dialogue.handle_byte(*byte, may_write, &mut answer) {
+            // A frame ends with a zero: only then is something done, perhaps in the flash.
+            let used = if *byte == 0 {
+                in_window(|| dialogue.handle_byte(0, true, &mut answer))
+                    .unwrap_or_else(|| dialogue.handle_byte(0, false, &mut answer))
+            } else {
+                dialogue.handle_byte(*byte, false, &mut answer)
+            };
+            if let Some(used) = used {
                 let _ = port.write_all(&answer[..used]).await;
                 let _ = port.flush().await;
             }

@@ -95,6 +95,10 @@ impl From<StoreError> for Refused {
     }
 }
 
+/// What a node without a record says on its line, for whoever looks.
+pub const PROMPT: &str = "stepfleet node, not provisioned: \
+    fleet provision PORT --name NAME --wifi SSID --router tcp/HOST:7447\r\n";
+
 /// See the module.
 #[derive(Debug)]
 pub struct Dialogue<F> {

@@ -179,6 +179,11 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
         self.restart_at_us.is_some_and(|at_us| now_us >= at_us)
     }
 
+    /// Returns whether [`Keeper::poll`] has something to do now, for whom a call is dear.
+    pub fn is_due(&self, now_us: u64) -> bool {
+        self.reached || self.poll_timeout().is_some_and(|at_us| at_us <= now_us)
+    }
+
     /// Returns when [`Keeper::poll`] has something to do next.
     pub fn poll_timeout(&self) -> Option<u64> {
         let trial = self.trial_ends_us.filter(|_| !self.reached);

@@ -22,9 +22,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use esp_hal::{clock::CpuClock, main, system::software_reset};
 use esp_println::println;
 use keys::{AxisId, Command, StopMode, command::COMMAND_WORDS};
-use motion::{
-    CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks,
-};
+use motion::{CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks};
 use static_cell::ConstStaticCell;
 
 esp_bootloader_esp_idf::esp_app_desc!();

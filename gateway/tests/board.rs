@@ -1,8 +1,9 @@
-//! `fleet update` and `fleet update-key` against an emulated board with its flash, over real zenoh.
-#![cfg(feature = "demo")]
+//! An emulated board with its flash: told who it is by `fleet provision` over its serial line, given
+//! other firmware by `fleet update` over real zenoh.
+#![cfg(all(feature = "demo", unix))]
 
 use assert_cmd::Command;
-use emulator::{EmulatedHandle, EmulatorConfig, flash::Flash};
+use emulator::{EmulatedHandle, EmulatorConfig, board::EmulatedBoard, flash::Flash};
 use keys::NodeId;
 use std::{
     io::{BufRead, BufReader},
@@ -10,6 +11,9 @@ use std::{
     process::{Child, Stdio},
     time::Duration,
 };
+
+/// Far more than anything here takes; only a failure waits so long.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A gateway in a process of its own, ended with the test.
 struct Gateway {
@@ -154,4 +158,87 @@ fn a_node_runs_the_signed_image_and_refuses_every_other_one() {
         "{err}"
     );
     let _lives = runtime.block_on(node.shutdown());
+}
+
+#[test]
+fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
+    const SECRET: &str = "correct horse";
+    let gateway = Gateway::start();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let _inside = runtime.enter();
+    let files = tempfile::tempdir().expect("a directory");
+    let file = |name: &str| files.path().join(name);
+    let base = || EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
+    let nodes = || {
+        let (_, out, err) = fleet(&["nodes", "--json", "--connect", &gateway.connect]);
+        let lines = out.lines().map(serde_json::from_str);
+        let nodes: Vec<serde_json::Value> = lines.collect::<Result<_, _>>().expect("JSON");
+        (nodes, err)
+    };
+    let wait_for = |name: &str, alive: bool| {
+        let began = std::time::Instant::now();
+        loop {
+            let (known, err) = nodes();
+            let is_meant = |node: &&serde_json::Value| node["node"] == name;
+            if known
+                .iter()
+                .find(is_meant)
+                .is_some_and(|node| node["alive"] == alive)
+            {
+                return;
+            }
+            assert!(began.elapsed() < PATIENCE, "{known:?} {err}");
+        }
+    };
+
+    let flash = Flash::open(&file("flash.bin")).expect("a file");
+    let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
+    // Nobody has told it anything: there is no node that could move.
+    let (code, out, err) = fleet(&["provision", board.port()]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("name        none"), "{out}");
+    assert_eq!(nodes().0, Vec::<serde_json::Value>::new());
+    let (code, _, _) = fleet(&["provision", board.port(), "--name", "left"]);
+    assert_eq!(code, Some(1), "without a network it is not complete");
+
+    let secret = file("wifi.txt");
+    std::fs::write(&secret, format!("{SECRET}\n")).expect("written");
+    let told = [
+        "--name",
+        "left",
+        "--wifi",
+        "shop",
+        "--wifi-password-file",
+        path(&secret),
+        "--router",
+        &gateway.connect,
+        "--restart",
+    ];
+    let (code, out, err) = fleet(&[&["provision", board.port()], &told[..]].concat());
+    assert_eq!(code, Some(0), "{err}");
+    assert!(!out.contains(SECRET) && !err.contains(SECRET));
+    wait_for("left", true);
+    let job = file("job.json");
+    let text = r#"{"commands":[{"move":{"axis":0,"delay_us":100,"steps":500}}]}"#;
+    std::fs::write(&job, text).expect("written");
+    let play = || {
+        let line = ["submit", path(&job), "--node", "left", "--wait"];
+        let (code, _, err) = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
+        assert_eq!(code, Some(0), "{err}");
+    };
+    play();
+    let _lives = runtime.block_on(board.power_off());
+    wait_for("left", false);
+
+    // Another day: the flash knows.
+    let flash = Flash::open(&file("flash.bin")).expect("a file");
+    let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
+    wait_for("left", true);
+    play();
+    let (code, out, err) = fleet(&["provision", board.port(), "--json"]);
+    assert_eq!(code, Some(0), "{err}");
+    let said: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(said["node"], "left");
+    assert!(!out.contains(SECRET), "{out}");
+    let _lives = runtime.block_on(board.power_off());
 }
