@@ -19,6 +19,7 @@ pub mod http;
 pub mod job;
 pub mod journal;
 pub mod observe;
+pub mod reading;
 pub mod security;
 pub mod service;
 pub mod settings;

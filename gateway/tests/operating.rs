@@ -203,7 +203,7 @@ fn a_part_in_gcode_is_checked_made_and_accounted_for() {
     // Before anything moves, and without a gateway.
     let ran = fleet(&["check", &part, "--config", settings]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(ran.out.contains("X  0.000 to 40.000 mm"), "{}", ran.out);
+    assert!(ran.out.contains("X  0.000 to 39.998 mm"), "{}", ran.out);
     assert!(ran.out.contains("Y  0.000 to 20.000 mm"), "{}", ran.out);
     let wrong = plant.file("wrong.gcode", "G0 X1\nG1 X2 Q3 F100\n");
     let ran = fleet(&["check", &wrong, "--config", settings, "--node", "left"]);
@@ -337,15 +337,12 @@ fn labels_maintenance_order_templates_and_history() {
     );
     assert!(ran.err.contains("--set steps="), "{}", ran.err);
 
-    let line = [
-        "submit",
-        &template,
-        "--label",
-        "mill",
-        "--together",
-        "--wait",
-    ];
-    let ran = plant.types(true, &[&line[..], &set].concat());
+    let both = plant.file(
+        "both.json",
+        r#"{"max_skew_us":1e6,"commands":[{"move":{"axis":1,"delay_us":100,"steps":250}}]}"#,
+    );
+    let line = ["submit", &both, "--label", "mill", "--together", "--wait"];
+    let ran = plant.types(true, &line);
     assert!(ran.out.contains("started"), "{}", ran.out);
 
     plant.types(true, &["maintenance", "right", "new belt"]);
@@ -396,7 +393,8 @@ fn labels_maintenance_order_templates_and_history() {
         "--when-idle",
     ];
     plant.types(true, &idle);
-    plant.types(true, &["move", "b", "--before", "a"]);
+    let ran = plant.types(true, &["move", "b", "--before", "a"]);
+    assert_eq!(ran.out, "waiting: c b a idle\n");
     let ran = plant.types(true, &["label", "third", "--json"]);
     assert!(
         ran.out.contains(r#""waiting":["c","b","a","idle"]"#),

@@ -1,7 +1,12 @@
 """The package of gateway/clients/python, installed by pip, against a running fleet."""
 
 import argparse
+import pathlib
+import re
 import socket
+import subprocess
+import sys
+import time
 import unittest
 from datetime import datetime, timedelta, timezone
 
@@ -29,7 +34,9 @@ class Package(unittest.TestCase):
         cls.fleet = Fleet(ARGUMENTS.locator, timeout=60)
         for name in ("left", "right"):
             control(f"up {name} 2")
-        for _ in range(6000):
+        deadline = time.monotonic() + 60
+        alive = []
+        while time.monotonic() < deadline:
             alive = [node.node for node in cls.fleet.nodes() if node.alive]
             if alive == ["left", "right"]:
                 return
@@ -64,6 +71,28 @@ class Package(unittest.TestCase):
         steps = self.fleet.trace("py-1")
         self.assertEqual([state for _, state in steps][:2], ["queued", "sent"])
         self.assertIn("py-1", [job.job for job in self.fleet.jobs(node="left", limit=10)])
+
+    def test_the_first_job_of_the_readme_runs_as_it_stands(self):
+        readme = pathlib.Path(__file__).parents[2] / "README.md"
+        (example,) = re.findall(r"```python\n(.*?)```", readme.read_text(), re.DOTALL)
+        control("up node-1 2")
+        deadline = time.monotonic() + 60
+        while not any(node.node == "node-1" for node in self.fleet.nodes()):
+            self.assertLess(time.monotonic(), deadline)
+        example = example.replace("tcp/127.0.0.1:7447", ARGUMENTS.locator)
+        ran = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True)
+        self.assertEqual(ran.returncode, 0, ran.stderr)
+        self.assertIn('{"job":"hello-1","state":"queued"}', ran.stdout)
+        self.assertEqual(self.fleet.wait("hello-1", 60).state, "succeeded")
+
+    def test_the_example_in_the_packages_readme_runs_as_it_stands(self):
+        here = pathlib.Path(__file__).parents[2] / "gateway" / "clients" / "python"
+        text = (here / "README.md").read_text()
+        (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+        example = example.replace("tcp/127.0.0.1:7447", ARGUMENTS.locator)
+        ran = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True)
+        self.assertEqual(ran.returncode, 0, ran.stderr)
+        self.assertIn("succeeded", ran.stdout)
 
     def test_a_script_returns_a_value(self):
         receipt = self.fleet.submit("left", lua="return 6 * 7")

@@ -1,9 +1,9 @@
 //! A script of any text: it ends or gives way in every slice, keeps to its memory, and queues no
 //! more than there is room for.
 
-use keys::{AxisId, Command, LocalMicros, NodeState};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
 use motion::CommandError;
-use script::{Full, Host, LidarReading, Limits, Script, Step};
+use script::{BarrierError, Full, Host, LidarReading, Limits, Script, Step};
 
 /// Small limits, so that what runs away ends soon.
 const LIMITS: Limits = Limits {
@@ -18,6 +18,9 @@ const LIMITS: Limits = Limits {
 /// Room of the queue.
 const CAPACITY: usize = 16;
 
+/// Meeting points that it knows.
+const BARRIERS: usize = 4;
+
 #[derive(Default)]
 struct Bench {
     now: LocalMicros,
@@ -25,6 +28,7 @@ struct Bench {
     accepted: u64,
     executed: u64,
     published: usize,
+    barriers: Vec<BarrierName>,
 }
 
 impl Host for Bench {
@@ -39,6 +43,17 @@ impl Host for Bench {
     }
     fn credit_commands(&self) -> usize {
         CAPACITY - self.queue.len()
+    }
+    fn barrier(&mut self, name: BarrierName) -> Result<u16, BarrierError> {
+        let known = self.barriers.iter().position(|known| *known == name);
+        let number = known.unwrap_or(self.barriers.len());
+        if known.is_none() {
+            if number == BARRIERS {
+                return Err(BarrierError::Many);
+            }
+            self.barriers.push(name);
+        }
+        Ok(number as u16)
     }
     fn push(&mut self, commands: &[Command]) {
         assert!(commands.len() <= self.credit_commands(), "no more than fit");

@@ -11,6 +11,15 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use zenoh::bytes::Encoding;
 
+/// Fields of a synchronized job beside its parts.
+const OF_WHOLE: [&str; 5] = [
+    "id",
+    "max_skew_us",
+    "ready_timeout_ms",
+    "offline",
+    "timeout_s",
+];
+
 /// What the gateway answers.
 #[derive(Deserialize)]
 struct Arrangement {
@@ -18,6 +27,12 @@ struct Arrangement {
     labels: Vec<GroupId>,
     maintenance: Option<String>,
     waiting: Vec<JobId>,
+}
+
+/// What it answers about the order of jobs.
+#[derive(Deserialize)]
+struct Order {
+    waiting: Option<Vec<JobId>>,
 }
 
 /// `fleet label`
@@ -46,7 +61,20 @@ pub(crate) async fn reorder(link: &Link, line: &Move, json: bool) -> Result<(), 
         (Some(before), _) => json!({ "before": before }),
         (None, priority) => json!({ "priority": priority }),
     };
-    ask(link, &format!("job/{}", line.job), &wishes, json).await
+    let key = format!("{}/manage/job/{}", link.keys().prefix(), line.job);
+    let payload = (wishes.to_string().into_bytes(), Encoding::APPLICATION_JSON);
+    let (payloads, refused) = accepted(link.get(&key, Some(payload)).await?);
+    for payload in &payloads {
+        if json {
+            show::json_line(payload);
+            continue;
+        }
+        let order: Order = read(payload)?;
+        let names = order.waiting.unwrap_or_default();
+        let names: Vec<&str> = names.iter().map(JobId::as_str).collect();
+        show::line(&format!("waiting: {}", names.join(" ")));
+    }
+    verdict(refused)
 }
 
 async fn ask(link: &Link, key: &str, wishes: &Value, json: bool) -> Result<(), Failure> {
@@ -94,16 +122,22 @@ pub(crate) async fn together(
     let usage = |error: &dyn std::fmt::Display| {
         Failure::Usage(format!("{}: {error}", submit.file.display()))
     };
-    let (id, part) = match encoding.to_string().as_str() {
+    // What is of the whole job and not of its parts.
+    let mut whole = serde_json::Map::new();
+    let part = match encoding.to_string().as_str() {
         "text/x-lua" | "zenoh/bytes;text/x-lua" => {
             let script = std::str::from_utf8(payload).map_err(|error| usage(&error))?;
-            (None, json!({ "lua": script }))
+            json!({ "lua": script })
         }
         "application/json" => {
             let mut job: serde_json::Map<String, Value> =
                 serde_json::from_slice(payload).map_err(|error| usage(&error))?;
-            let id = job.remove("id");
-            (id, Value::from(job))
+            for name in OF_WHOLE {
+                if let Some(value) = job.remove(name) {
+                    whole.insert(name.to_owned(), value);
+                }
+            }
+            Value::from(job)
         }
         _ => {
             let words =
@@ -126,9 +160,6 @@ pub(crate) async fn together(
             "no node has the label `{label}`"
         ))));
     }
-    let mut job = json!({ "nodes": nodes });
-    if let Some(id) = id {
-        job["id"] = id;
-    }
-    Ok(job.to_string().into_bytes())
+    whole.insert("nodes".to_owned(), nodes.into());
+    Ok(Value::from(whole).to_string().into_bytes())
 }

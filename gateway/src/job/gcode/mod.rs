@@ -1,9 +1,9 @@
 //! G-code → the commands of a job. Pure: a text and a [`Machine`] in, a [`Program`] out.
 //!
 //! ```text
-//!  text ─▶ words.rs ──▶ modal.rs ───────▶ emit.rs ─────▶ Vec<JobCommand>
-//!          (the crate    what a block      mm → steps,
-//!           `gcode`)     means · arc.rs    limits      └─▶ preview.rs: time and bounds
+//!  text ─▶ words.rs ─▶ block.rs ─▶ modal.rs ──────▶ emit.rs ─────▶ Vec<JobCommand>
+//!          (the crate   one of a   what it means   mm → steps,
+//!           `gcode`)    group      · arc.rs        limits      └─▶ preview.rs: time and bounds
 //! ```
 //!
 //! The common subset of GRBL: G0–G4, G17–G21, G28, G53–G59, G90–G94, M2–M5, M30, F and S. What is
@@ -25,6 +25,7 @@
 //! `M0`: a queue cannot wait for a person, so a program is split there.
 
 mod arc;
+mod block;
 mod emit;
 mod machine;
 mod modal;
