@@ -16,6 +16,7 @@
 //! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
+//! | C and D: way, rate, limits, each in its turn | steps exactly, intervals to a tick |
 //! | position = counter = counted edges | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
@@ -29,8 +30,10 @@
 //! | `moves`, `holds` | raw moves, and a hold in the midst of them |
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
+//! | `beside` | C and D |
 //! | `homing` | the way to a reference switch and off it |
 
+mod beside;
 mod holds;
 mod homing;
 mod moves;
@@ -205,6 +208,7 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
     let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
     judge.read_queues(life);
+    judge.read_beside(life);
     judge.summary.steps = judge
         .axes
         .iter()
