@@ -5,7 +5,7 @@ use crate::{
     machine::{MachineConfig, MachineSwitch},
     pins::{CARRIAGE_C, CARRIAGE_D},
     pulse::RmtConfig,
-    record::HomeFacts,
+    record::{BesideFacts, HomeFacts, LimitFacts},
 };
 use keys::{AxisId, Keys, NodeId};
 use motion::{
@@ -219,6 +219,41 @@ impl EmulatorConfig {
         (0..self.axis_count)
             .map(|axis| pin(axis).is_some())
             .collect()
+    }
+
+    /// What the oracle knows of C and D.
+    pub(crate) fn beside_facts(&self) -> Option<BesideFacts> {
+        let cd = self.motion.cd?;
+        let scaled = |um: i64, per_m: u32| (um * i64::from(per_m) + 500_000) / 1_000_000;
+        let hz = |um_per_s: u32, per_m: u32| {
+            let hz = u64::from(um_per_s) * u64::from(per_m) / 1_000_000;
+            hz.max(1) as u32
+        };
+        let limit = |role: Role| {
+            let mut inputs = (0..INPUTS_MAX).filter_map(|index| {
+                let input = self.motion.inputs.get(index)?;
+                (input.role == role).then_some(LimitFacts {
+                    input: index,
+                    active_level: !input.active_low,
+                })
+            });
+            inputs.next()
+        };
+        let positions = cd.c.positions.iter().map(|position| {
+            let steps = scaled(i64::from(position.position_um), cd.c.steps_per_m);
+            (steps, hz(position.speed_um_per_s, cd.c.steps_per_m))
+        });
+        Some(BesideFacts {
+            positions: positions.collect(),
+            d_steps: scaled(i64::from(cd.d.travel_um), cd.d.steps_per_m) as u64,
+            d_hz: hz(cd.d.speed_um_per_s, cd.d.steps_per_m).min(40_000),
+            limits: [
+                limit(Role::C(Switch::Min)),
+                limit(Role::C(Switch::Max)),
+                limit(Role::D(Switch::Min)),
+                limit(Role::D(Switch::Max)),
+            ],
+        })
     }
 
     /// What the oracle knows of the homes.

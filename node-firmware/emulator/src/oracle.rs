@@ -16,6 +16,7 @@
 //! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
+//! | C and D: way, rate, limits, each in its turn | steps exactly, intervals to a tick |
 //! | position = counter = counted edges | exactly |
 //! | with [`Life::paced`]: only the pins, all steps of what has ended, and the positions | exactly |
 //!
@@ -30,9 +31,11 @@
 //! | `moves`, `holds` | raw moves, and a hold in the midst of them |
 //! | `paths` | ramps and lines, edge by edge |
 //! | `track` | joined or stopped paths, by their limits |
+//! | `beside` | C and D |
 //! | `homing` | the way to a reference switch and off it |
 //! | `count` | steps by number alone |
 
+mod beside;
 mod count;
 mod holds;
 mod homing;
@@ -211,6 +214,7 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
         judge.count(life);
     } else {
         judge.read_queues(life);
+        judge.read_beside(life);
     }
     judge.summary.steps = judge
         .axes

@@ -66,6 +66,28 @@ pub struct HomeFacts {
     pub pull_off_steps: u64,
 }
 
+/// The limit switch of C or D.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LimitFacts {
+    /// Index of its input.
+    pub input: usize,
+    /// Level of that while it is pressed.
+    pub active_level: bool,
+}
+
+/// What C and D are, in steps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BesideFacts {
+    /// Places of C, and the speed on the way there, Hz.
+    pub positions: Vec<(i64, u32)>,
+    /// Steps of D from OFF to ON.
+    pub d_steps: u64,
+    /// Speed of D, Hz.
+    pub d_hz: u32,
+    /// Low and high limit of C, then of D.
+    pub limits: [Option<LimitFacts>; 4],
+}
+
 /// One boot of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Life {
@@ -85,6 +107,8 @@ pub struct Life {
     pub holds: Vec<Held>,
     /// How the axes are homed that can be.
     pub homes: Vec<HomeFacts>,
+    /// C and D, of a node that has them.
+    pub beside: Option<BesideFacts>,
     /// Axes whose direction pin is low for positive.
     pub inverted: Vec<bool>,
     /// Axes that turn by a shift register, at rest, as long as that may take.

@@ -256,3 +256,42 @@ fn with_both_limits_pressed_nothing_moves() {
         assert_eq!([bench.c_place(), bench.d_place()], [0, 20 * MM]);
     }
 }
+
+#[test]
+fn the_oracle_finds_a_missing_step_a_wrong_pace_and_a_wrong_turn_of_c_and_d() {
+    let mut bench = Bench::new(machine());
+    bench.order([OFF, c(0), c(2), ON, c(1)]);
+    bench.run_to_rest();
+    bench.run_for(1_000_000);
+    let life = bench.judged();
+    for (pin, number) in [(Pin::StepC, 700), (Pin::StepC, 4_000), (Pin::StepD, 900)] {
+        let mut edges = life.edges.iter().enumerate();
+        let rises = edges
+            .by_ref()
+            .filter(|(_, edge)| edge.pin == pin && edge.level);
+        let at = rises.map(|(at, _)| at).nth(number).expect("so many steps");
+        let mut missing = life.clone();
+        missing.edges.remove(at);
+        assert!(
+            emulator::oracle::check_life(&missing).is_err(),
+            "{pin:?} {number}"
+        );
+        let mut early = life.clone();
+        early.edges[at].at_ticks -= 5;
+        assert!(
+            emulator::oracle::check_life(&early).is_err(),
+            "{pin:?} {number}"
+        );
+    }
+    let mut reversed = life.clone();
+    let last = reversed
+        .edges
+        .iter_mut()
+        .filter(|edge| edge.pin == Pin::DirectionC);
+    let last = last.last().expect("it turned");
+    last.level = !last.level;
+    assert!(emulator::oracle::check_life(&reversed).is_err());
+    let mut unordered = life;
+    unordered.commands.retain(|taken| taken.command != ON);
+    assert!(emulator::oracle::check_life(&unordered).is_err());
+}

@@ -12,7 +12,7 @@
 //! | `stepperConnectToPin(pin, driver)` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
 //! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `i2sMuxSetBit` |
 //! | `task_rate(ms)`, a stop if it is longer than what is planned | [`Axis::wants_planning`], [`limits::LOW_WATER_TICKS`] | the pulses ask for planning; a planner that is too late is a fault with a name, not a silent stop |
-//! | `setExternalCallForPin`, pins ≥ 128 | [`ShiftConfig`], [`io::shift::ShiftPins`] | enable outputs only; confirmed by the level read back, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
+//! | `setExternalCallForPin`, pins ≥ 128 | [`ShiftConfig`], [`io::shift::ShiftPins`] | enable and direction pins, of C and D too; confirmed by the level read back before the first step, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
 //! | `setDebugLed` | no counterpart | |
 //! | `detachFromPin`, `reAttachToPin` | no counterpart | |
 //!
@@ -20,7 +20,7 @@
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
-//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`], [`AxisProfile::direction_inverted`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. Missing: the polarity (high always counts up) |
+//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`], [`AxisProfile::direction_inverted`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. |
 //! | `setEnablePin`, two pins, low- and high-active; shared pins | [`MotionConfig::enables`], [`io::enable::EnableConfig`] | shared by any set of axes |
 //! | `enableOutputs`, `disableOutputs` (false while it runs) | [`Motion::enable`], [`Motion::disable`] | the same |
 //! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`EnableConfig::delay_on_us`], [`EnableConfig::delay_off_ms`] | the delays are instants to the tick; all axes of the queue go together |
@@ -32,9 +32,9 @@
 //! |---|---|---|
 //! | `getCurrentPosition`, i32; on RMT off by the steps of the command under way, up to 255 | [`Motion::position_steps`], i64 | exact at every instant, also after a stop of any kind: see [`ledger`] |
 //! | `setCurrentPosition`, advised only at rest | [`Command::SetPosition`] | a command in its place in the queue, exact while moving; none for a drive under way |
-//! | `getPositionAfterCommandsCompleted`, `targetPos` | no counterpart | whoever feeds the queue adds up what it feeds |
+//! | `getPositionAfterCommandsCompleted`, `targetPos` | [`Motion::outlook`] tells it with soft limits | whoever feeds the queue adds up what it feeds |
 //! | `setPositionAfterCommandsCompleted` | [`Command::SetPosition`] | takes effect when the commands before have ended |
-//! | `isRunning` | [`Motion::is_active`], [`Motion::is_driving`] | and events that tell it: [`MotionEvent::Rest`], [`MotionEvent::DriveEnded`] |
+//! | `isRunning` | [`Motion::is_active`], [`Motion::is_driving`], [`Motion::is_driven`] for one axis | and events that tell it: [`MotionEvent::Rest`], [`MotionEvent::DriveEnded`] |
 //! | `getMaxSpeedInUs` … `InMilliHz` | [`AxisProfile::high_ns_min`], [`CommandError::TooFast`] | no call: the refusal names the shortest interval. The limit is the driver's (there 200 kHz); what a core can keep up with is counted by the bench `instructions` |
 //! | `setAbsoluteSpeedLimit` (untested, no check) | [`AxisProfile`] | checked |
 //! | `setSpeedInUs`, `InTicks`, `InHz`, `InMilliHz`; −1 if out of range | [`Course::interval_us`], [`Course::interval_ticks`], [`Course::hz`], [`Course::mhz`]; in the queue Hz | part of the order, so no setting is left over from before; no lower bound of speed |
@@ -59,15 +59,15 @@
 //! | `keepRunning`, `runForward`, `runBackward` | [`Target::Forever`] | |
 //! | `forwardStep`, `backwardStep`, only when idle | [`Target::By`] of ±1, [`Command::Move`] | |
 //! | `moveByAcceleration(a, allow_reverse)` | [`Target::Forever`] with another [`Course`]; [`Motion::end_drive`] | another sign turns it. Missing: an acceleration of 0, which keeps the present speed |
-//! | `stopMove` | [`Motion::end_drive`] or [`Motion::stop`] with [`StopMode::Decelerate`] | on its path, begins within 2 ms. May not be called from an interrupt: a stop input is a message to the owner |
+//! | `stopMove` | [`Motion::end_drive_of`], [`Motion::end_drive`] or [`Motion::stop`] with [`StopMode::Decelerate`] | on its path, begins within 2 ms. May not be called from an interrupt: a stop input is a message to the owner |
 //! | `stepsToStop` | [`Motion::steps_to_stop`] | exact: includes what the hardware holds, and knows S-curves |
 //! | `forceStop`, within 20 ms | [`Motion::stop`] with [`StopMode::Halt`] | at once, at the end of the high time; the position is exact. Not from an interrupt either |
 //! | `forceStopAndNewPosition`, the position is lost | [`Motion::stop`], then [`Command::SetPosition`] if wanted | the position is never lost |
 //! | `rampState`, `isRampGeneratorActive` | [`Motion::speed_mhz`], [`Motion::is_driving`] | no counterpart of its bits: accelerating, coasting, decelerating, reversing |
 //! | `isStopping`, `isRunningContinuously` | no counterpart | |
-//! | nothing | [`Motion::hold`], [`Motion::resume`], [`Motion::set_speed_percent`] | on the path of ramps and lines |
+//! | nothing | [`Motion::hold`], [`Motion::resume`], [`Motion::set_speed_percent`] | on the path of ramps and lines, all drives each by its own ramp; raw moves and pauses stand still and go on to the tick |
 //! | nothing; steppers do not know each other | [`Command::Line`], [`lookahead`] | straight lines on four axes, joined at speed |
-//! | each stepper moves by itself, with its own target and ramp, while others do | no counterpart | one timeline for all axes: a second axis is [`DriveError::Busy`] while one is driven. Two axes with raw moves: [`Command::SyncMove`] |
+//! | each stepper moves by itself, with its own target and ramp, while others do | [`Motion::drive`] of each axis | likewise, up to four at a time: each begins within 2 ms while others move, and is changed, turned and ended alone; all stay on one timeline |
 //!
 //! # The queue
 //!
@@ -131,6 +131,9 @@
 //! [`Motion::credit_commands`]: crate::Motion::credit_commands
 //! [`Motion::drive`]: crate::Motion::drive
 //! [`Motion::end_drive`]: crate::Motion::end_drive
+//! [`Motion::end_drive_of`]: crate::Motion::end_drive_of
+//! [`Motion::is_driven`]: crate::Motion::is_driven
+//! [`Motion::outlook`]: crate::Motion::outlook
 //! [`Motion::executed_commands`]: crate::Motion::executed_commands
 //! [`Motion::hold`]: crate::Motion::hold
 //! [`Motion::is_active`]: crate::Motion::is_active

@@ -19,10 +19,12 @@
 //! | [`path`] | the fastest motion within a law's limits: place and time, without steps |
 //! | [`lookahead`] | how fast a line may be left, given the lines behind it |
 //! | `steps.rs` | a path to the edges of all axes, put together to segments |
-//! | `motion/change.rs`, `motion/drive.rs` | hold, resume, speed, target: changed in flight |
+//! | `motion/change.rs`, `motion/stand.rs` | hold, resume, speed: changed in flight; raw moves stand still |
+//! | `motion/drive.rs`, `planner/ways.rs` | axes that are driven each by itself |
 //! | `motion/inputs.rs`, `motion/homing.rs` | switches: limits, and the way to a reference |
 //! | `motion/reach.rs` | soft limits |
 //! | `motion/named.rs`, `motion/outputs.rs` | C and D; laser, enable pins, shift register, lidar |
+//! | `motion/turns.rs` | direction pins behind the shift register |
 //! | [`scale`] | lengths to steps |
 //! | [`real`] | the numbers of all this: 62 bits and an exponent, in integers |
 //!
@@ -39,6 +41,8 @@
 //! - The position is exact at every instant: the ledger counts active edges that have left the pin,
 //!   also when a stop cuts a block short.
 //! - A change in flight takes effect behind what the hardware holds: 2 ms at most.
+//! - A hold costs no step and no tick: a path slows down and goes on by its own limits, raw moves
+//!   stand still on one tick of all axes and go on from it.
 //! - What is planned ends at rest. A planner that comes too late in the middle of a path is a fault;
 //!   nothing goes on from there by itself.
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.

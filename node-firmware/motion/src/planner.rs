@@ -172,7 +172,7 @@ pub(crate) struct Planner {
     /// Index of the stretch that is written next.
     writing: usize,
     /// What is not yet written of the one before.
-    steps: Option<Steps>,
+    steps: Option<Steps<CHANNELS>>,
     left: Option<Exited>,
     ahead: LookAhead,
     /// What was encoded when the plan was left last.
@@ -326,7 +326,7 @@ impl Planner {
     }
 
     /// Writes the next stretch, but for what was encoded of it before the plan was left.
-    fn begin_writing(&mut self, stretch: &Stretch, mut steps: Steps) {
+    fn begin_writing(&mut self, stretch: &Stretch, mut steps: Steps<CHANNELS>) {
         for (index, rewound) in self.rewound.iter().enumerate() {
             if rewound.at > stretch.begin.ticks {
                 steps.skip(index, rewound.booked_steps - stretch.base_steps[index]);
@@ -493,7 +493,7 @@ impl Planner {
     }
 
     /// Delays the begin until every axis that turns has rested for long enough.
-    fn make_room_for_turns(&self, steps: &mut Steps, begin: u64, axes: &[Axis]) {
+    fn make_room_for_turns(&self, steps: &mut Steps<CHANNELS>, begin: u64, axes: &[Axis]) {
         let mut missing_ticks = 0;
         for (index, (axis, tail)) in axes.iter().zip(&self.tails).enumerate() {
             let Some((edge, direction)) = steps.first_edge(index) else {

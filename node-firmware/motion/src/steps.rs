@@ -10,7 +10,7 @@
 
 use crate::{
     axis::Axis,
-    limits::{CHANNELS, WORD_TICKS_MIN},
+    limits::WORD_TICKS_MIN,
     path::{Path, Span},
     planner::Tail,
     profile::Timing,
@@ -98,16 +98,16 @@ pub(crate) enum Exit {
 
 /// The segments of one command that are still to come.
 #[derive(Clone, Debug)]
-pub(crate) struct Steps {
+pub(crate) struct Steps<const AXES: usize> {
     path: Path,
     begin: Moment,
     /// End of the command.
     end_ticks: u64,
     exit: Exit,
-    cursors: [Option<Cursor>; CHANNELS],
+    cursors: [Option<Cursor>; AXES],
 }
 
-impl Steps {
+impl<const AXES: usize> Steps<AXES> {
     /// Takes a path and the steps with sign that each axis makes while it goes from 0 to
     /// `major_steps`.
     pub(crate) fn new(
@@ -115,10 +115,10 @@ impl Steps {
         begin: Moment,
         exit: Exit,
         major_steps: u64,
-        steps: [i64; CHANNELS],
+        steps: [i64; AXES],
         timing: &[Timing],
     ) -> Self {
-        let mut cursors = [None; CHANNELS];
+        let mut cursors = [None; AXES];
         let from = path.begin_steps();
         let to = path.end_steps();
         let mut end_ticks = begin.plus(path.ticks()).rounded();

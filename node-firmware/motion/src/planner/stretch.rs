@@ -55,7 +55,7 @@ impl Stretch {
     }
 
     /// Returns the edges of its path.
-    pub(super) fn steps(&self, path: &Path, timing: &[Timing]) -> Steps {
+    pub(super) fn steps(&self, path: &Path, timing: &[Timing]) -> Steps<CHANNELS> {
         let line = &self.line;
         Steps::new(
             *path,
@@ -63,6 +63,21 @@ impl Stretch {
             self.exit,
             line.major_steps,
             line.steps,
+            timing,
+        )
+    }
+
+    /// The same for one axis alone.
+    pub(super) fn steps_of(&self, index: usize, path: &Path, timing: &[Timing]) -> Steps<1> {
+        let line = &self.line;
+        let steps = [line.steps[index]];
+        let timing = &timing[index..=index];
+        Steps::new(
+            *path,
+            self.begin,
+            self.exit,
+            line.major_steps,
+            steps,
             timing,
         )
     }

@@ -34,7 +34,7 @@ pub(super) struct Way {
     stretches: [Option<Stretch>; STRETCHES_MAX],
     count: usize,
     writing: usize,
-    steps: Option<Steps>,
+    steps: Option<Steps<1>>,
     made: Made,
 }
 
@@ -91,7 +91,7 @@ impl Way {
     fn write(&mut self, index: usize, axis: &mut Axis, tail: &mut Tail, timing: &[Timing]) -> bool {
         loop {
             if let Some(steps) = self.steps.as_mut() {
-                if !steps.write_axis(index, axis, tail) {
+                if !steps.write_axis(0, axis, tail) {
                     return false;
                 }
                 self.steps = None;
@@ -100,9 +100,9 @@ impl Way {
                 return true;
             }
             let stretch = self.stretches[self.writing].expect("below the count");
-            let mut steps = stretch.steps(&stretch.path(), timing);
+            let mut steps = stretch.steps_of(index, &stretch.path(), timing);
             if self.made.at > stretch.begin.ticks {
-                steps.skip(index, self.made.booked_steps - stretch.base_steps[index]);
+                steps.skip(0, self.made.booked_steps - stretch.base_steps[index]);
             }
             self.steps = Some(steps);
             self.writing += 1;
@@ -255,9 +255,9 @@ impl Planner {
             exit: Exit::Rest,
             base_steps: all_steps,
         };
-        let mut steps = stretch.steps(&stretch.path(), &timing[..axes.len()]);
+        let mut steps = stretch.steps_of(index, &stretch.path(), &timing);
         let tail = &self.tails[index];
-        if let Some((edge, direction)) = steps.first_edge(index)
+        if let Some((edge, direction)) = steps.first_edge(0)
             && self.heading(index) != Some(direction)
         {
             // What is planned before rests from its last step on; that is written up to `tail.at`.
@@ -330,7 +330,7 @@ impl Planner {
             base_steps: split.base_steps,
         };
         let path = stretch.path();
-        let steps = stretch.steps(&path, &timing[..axes.len()]);
+        let steps = stretch.steps_of(index, &path, &timing);
         stretch.end_ticks = steps.end().ticks;
         self.ways[index].push(stretch);
         let made = match to_rest {
