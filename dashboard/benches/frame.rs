@@ -67,6 +67,10 @@ fn benches(criterion: &mut Criterion) {
         },
     );
     fleet.view.focus = None;
+    fleet.view.tab = Tab::Timeline;
+    criterion.bench_function("a frame, 500 nodes, their timeline", |bencher| {
+        bencher.iter(|| frame(&context, &mut fleet));
+    });
     fleet.view.tab = Tab::Log;
     for number in 0..10_000 {
         let (node, text) = (node("node-001"), format!("line {number}"));

@@ -24,6 +24,10 @@ pub const FRAME_EVERY: Duration = Duration::from_millis(50);
 /// Longest time between two frames: ages grow without messages.
 pub const FRAME_AT_LEAST_EVERY: Duration = Duration::from_secs(1);
 
+/// Height of the lower panel until the operator changes it, and its least one, points.
+const LOWER_DEFAULT: f32 = 230.0;
+const LOWER_MIN: f32 = 90.0;
+
 /// Where the view is kept between runs.
 const VIEW_KEY: &str = "view";
 
@@ -78,8 +82,9 @@ impl Dashboard {
         let model = session.replay().map_or(&*model, Replay::model);
         Panel::bottom("lower")
             .resizable(true)
-            .default_size(230.0)
-            .min_size(90.0)
+            // On a small screen the fleet keeps more than half of the room.
+            .default_size((ui.available_height() * 0.45).clamp(LOWER_MIN, LOWER_DEFAULT))
+            .min_size(LOWER_MIN)
             .show(ui, |ui| {
                 lower_ui(ui, model, session, sound, view, requests);
                 // Else the panel would shrink to what is in it.
@@ -102,6 +107,7 @@ impl Dashboard {
         });
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
+        panels::chooser::chooser_ui(ui, view, requests);
         panels::composer::open_dropped(view, requests);
         panels::alarms::call(ui, &self.model, &mut self.view, &mut self.sound);
     }
@@ -127,6 +133,8 @@ impl Dashboard {
             Action::Close => {
                 if view.help_open {
                     view.help_open = false;
+                } else if view.chooser.close() {
+                    // That was it.
                 } else if view.stop.releasing.take().is_none() {
                     view.focus = None;
                 }
@@ -203,7 +211,8 @@ fn lower_ui(
         }
     });
     ui.separator();
-    match view.tab {
+    // What each remembers of its own, such as where it was scrolled to, is not another one's.
+    ui.push_id(view.tab.title(), |ui| match view.tab {
         Tab::Jobs => panels::jobs::jobs_ui(ui, model, view, requests),
         Tab::Compose => panels::composer::composer_ui(ui, model, view, requests),
         Tab::GroupJob => panels::group_job::group_job_ui(ui, model, view, requests),
@@ -212,7 +221,7 @@ fn lower_ui(
         Tab::Log => panels::log::log_ui(ui, model, view),
         Tab::Pulses => panels::pulses::pulses_ui(ui, view),
         Tab::Recording => panels::recording::recording_ui(ui, session, view),
-    }
+    });
 }
 
 /// The program in its window.

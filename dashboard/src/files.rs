@@ -9,7 +9,7 @@ use crate::{
         Model,
         capture::{self, Capture},
     },
-    panels::node::Export,
+    panels::{chooser::Listing, node::Export},
     recording::{
         self, Recording,
         session::{Session, Wish},
@@ -32,6 +32,9 @@ use std::{
 /// Works that run at the same time; more are refused.
 const WORKS_MAX: usize = 8;
 
+/// Entries of a folder that are listed.
+const ENTRIES_MAX: usize = 5_000;
+
 /// What became of a file.
 enum Done {
     /// A capture was read.
@@ -40,6 +43,8 @@ enum Done {
     Recording(String, Result<Recording, String>),
     /// A plot was written to this file.
     Export(Result<String, String>),
+    /// A folder was read.
+    Folder(Result<Listing, String>),
     /// What was asked for by a request.
     Asked(Ticket, FileOutcome),
 }
@@ -93,6 +98,12 @@ impl Files {
                 view.pulses.opened(failed, Err(why));
             }
         }
+        if let Some(folder) = view.chooser.wanted.take() {
+            let begun = self.begin(ctx, move || Done::Folder(list(&folder)));
+            if let Err(why) = begun {
+                view.chooser.listed(Err(why));
+            }
+        }
         session.play(live.now());
         let shown = session.replay().map_or(live, |replay| replay.model());
         self.export(ctx, shown, view);
@@ -125,6 +136,7 @@ impl Files {
         while let Ok(done) = self.results.try_recv() {
             match done {
                 Done::Capture(path, capture) => view.pulses.opened(path, capture),
+                Done::Folder(listing) => view.chooser.listed(listing),
                 Done::Export(written) => view.node.exported = Some(written),
                 Done::Recording(path, recording) => {
                     session.opened(path, recording);
@@ -230,6 +242,33 @@ pub fn is_capture(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension
         .is_some_and(|extension| matches!(extension.to_ascii_lowercase().as_str(), "vcd" | "csv"))
+}
+
+/// Returns what is in a folder, without what is hidden.
+fn list(folder: &Path) -> Result<Listing, String> {
+    let fail = |error: std::io::Error| format!("{}: {error}", folder.display());
+    let full = folder.canonicalize().map_err(fail)?;
+    let mut listing = Listing::default();
+    for entry in full.read_dir().map_err(fail)? {
+        let entry = entry.map_err(fail)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.starts_with('.') {
+            continue;
+        }
+        if listing.folders.len() + listing.files.len() >= ENTRIES_MAX {
+            listing.cut = true;
+            break;
+        }
+        // What a link leads to counts.
+        match entry.path().is_dir() {
+            true => listing.folders.push(name),
+            false => listing.files.push(name),
+        }
+    }
+    listing.folders.sort_unstable();
+    listing.files.sort_unstable();
+    listing.folder = full;
+    Ok(listing)
 }
 
 /// Reads a job's text.

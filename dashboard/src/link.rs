@@ -12,7 +12,7 @@
 
 pub mod inbox;
 mod perform;
-mod refusal;
+pub mod refusal;
 mod session;
 
 use crate::{

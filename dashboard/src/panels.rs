@@ -1,6 +1,7 @@
 //! The panels: what the model knows, on the screen. One noun a file, one function a panel.
 
 pub mod alarms;
+pub mod chooser;
 pub mod composer;
 mod editor;
 pub mod fleet;

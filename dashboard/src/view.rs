@@ -4,9 +4,9 @@
 //! what is marked `#[serde(skip)]`.
 
 use crate::panels::{
-    alarms::AlarmsView, composer::ComposerView, fleet::FleetView, group_job::GroupJobView,
-    jobs::JobsView, log::LogView, node::NodeView, pulses::PulsesView, recording::RecordingView,
-    stop::StopView, timeline::TimelineView,
+    alarms::AlarmsView, chooser::ChooserView, composer::ComposerView, fleet::FleetView,
+    group_job::GroupJobView, jobs::JobsView, log::LogView, node::NodeView, pulses::PulsesView,
+    recording::RecordingView, stop::StopView, timeline::TimelineView,
 };
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -86,6 +86,9 @@ pub struct View {
     pub pulses: PulsesView,
     /// Recording and replay.
     pub recording: RecordingView,
+    /// The choice of a file.
+    #[serde(skip)]
+    pub chooser: ChooserView,
     /// The list of jobs.
     pub jobs: JobsView,
     /// The composer.

@@ -5,6 +5,7 @@ mod operator;
 
 use dashboard::{
     credentials,
+    link::refusal,
     message::Answer,
     model::{Model, effort::Sending},
     request::{Request, Scope},
@@ -170,52 +171,45 @@ async fn a_door_that_stays_shut_says_why() {
         ..alice.clone()
     };
     let (tls, tcp) = (&plant.service.locators()[0], &plant.service.locators()[1]);
-    let by_address = tls.clone();
     // A port that was somebody's a moment ago.
     let nobody = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let nobody = format!("tls/{}", nobody.local_addr().expect("bound"));
-    let tries = [
+    // Asked directly: client and router in one process share zenoh's threads, and a refused session
+    // keeps the router's from taking the next one.
+    let doors = [
         (
-            &by_address,
+            tls,
             Some(wrong_password),
             "wrong user or password, or revoked",
         ),
         (
-            &by_address,
+            tls,
             Some(with_ca(foreign.as_deref())),
             "its certificate is not one of this fleet",
         ),
         (
-            &by_address,
+            tls,
             Some(with_ca(None)),
             "cannot be checked: nobody said whose to trust",
         ),
         (
-            &by_address,
+            tls,
             Some(with_ca(Some("rubbish"))),
             "there is no certificate in `ca`",
         ),
-        (&by_address, None, "nobody said whose to trust"),
+        (tls, None, "nobody said whose to trust"),
+        (tcp, Some(alice.clone()), "lets people in by tls/ only"),
         (tcp, None, "it asks for a user"),
-        (tcp, Some(alice.clone()), ""),
-        (
-            &nobody,
-            Some(alice.clone()),
-            "nothing answers at tls/127.0.0.1:",
-        ),
     ];
-    for (locator, credentials, words) in tries {
-        let mut operator = Operator::at(locator, credentials);
-        if words.is_empty() {
-            // People who come by TCP are let in and told nothing.
-            operator.until("a session", |model| model.link().is_up());
-        } else {
-            operator.until(words, |model| model.link().why().is_some());
-            let why = operator.model().link().why().expect("told");
-            assert!(why.contains(words), "{locator}: {why}");
-            assert!(!why.contains("hush"), "{why}");
-        }
-        operator.leave();
+    for (locator, credentials, words) in doors {
+        let why = refusal::why(locator, credentials.as_ref()).await;
+        assert!(why.contains(words), "{locator}: {why}");
+        assert!(!why.contains("hush"), "{why}");
     }
+    let mut operator = Operator::at(&nobody, Some(alice));
+    operator.until("a reason", |model| model.link().why().is_some());
+    let why = operator.model().link().why().expect("told");
+    assert!(why.contains("nothing answers at tls/127.0.0.1:"), "{why}");
+    operator.leave();
     plant.service.shutdown().await.expect("an orderly end");
 }

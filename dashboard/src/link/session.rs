@@ -40,6 +40,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// Looks between two questions whether a gateway is there: every 2 s.
 const LOOKS_PER_PROBE: u32 = 8;
 
+/// Looks before a node of the last session that has not come back is gone: 5 s. After a restart of
+/// the router they need some time to notice and to connect.
+const LOOKS_BEFORE_GONE: u32 = 20;
+
 /// Longest log line that is taken whole, bytes.
 const LINE_BYTES_MAX: usize = 16 << 10;
 
@@ -307,7 +311,7 @@ async fn listen(
                     performer.refresh();
                 }
                 looks = looks.wrapping_add(1);
-                if looks == 2 {
+                if looks == LOOKS_BEFORE_GONE {
                     forget_the_gone(session, keys, inbox, tokens).await;
                 }
             }

@@ -1,7 +1,7 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
-use super::{editor, preview};
+use super::{chooser::Purpose, editor, preview};
 use crate::{
     estimate::{Estimate, estimate},
     files::is_capture,
@@ -129,6 +129,12 @@ impl ComposerView {
         }
     }
 
+    /// Opens a file.
+    pub fn open_file(&mut self, path: String, requests: &mut Requests) {
+        self.file.clone_from(&path);
+        self.opening = Some(requests.push(Request::ReadFile { path }));
+    }
+
     fn text_mut(&mut self) -> &mut String {
         match self.language {
             Language::Json => &mut self.text,
@@ -184,8 +190,7 @@ pub fn take_dropped(ui: &Ui, view: &mut View) {
 pub fn open_dropped(view: &mut View, requests: &mut Requests) {
     if let Some(path) = view.composer.dropped.take() {
         view.tab = Tab::Compose;
-        view.composer.file.clone_from(&path);
-        view.composer.opening = Some(requests.push(Request::ReadFile { path }));
+        view.composer.open_file(path, requests);
     }
 }
 
@@ -372,7 +377,10 @@ fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option
             .clicked()
         {
             let path = composer.file.trim().to_owned();
-            composer.opening = Some(requests.push(Request::ReadFile { path }));
+            composer.open_file(path, requests);
+        }
+        if ui.button("Choose job…").clicked() {
+            view.chooser.open(Purpose::Job, &composer.file);
         }
         if let Some(why) = failed {
             ui.label(theme::toned(ui, Tone::Bad, format!("✖ {why}")));

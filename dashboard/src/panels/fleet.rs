@@ -273,7 +273,13 @@ fn empty_ui(ui: &mut Ui, model: &Model) {
         "no node is known yet: switch one on, or start `emulator --nodes 3`".to_owned()
     } else {
         let why = link.why().unwrap_or("not connected yet");
-        format!("{why}. Start a gateway: `fleet serve`, or connect elsewhere with --connect.")
+        // Where somebody answers and says no, another gateway is no help.
+        match link.why().is_none() || why.contains("nothing answers") {
+            true => format!(
+                "{why}. Start a gateway: `fleet serve`, or connect elsewhere with --connect."
+            ),
+            false => format!("{why}."),
+        }
     };
     ui.vertical_centered(|ui| {
         ui.add_space(24.0);

@@ -156,7 +156,7 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
     if matches!(of_page.page, Page::Motion | Page::Path | Page::Clock) {
         export_ui(ui, of_page);
     }
-    match of_page.page {
+    ui.push_id(of_page.page.title(), |ui| match of_page.page {
         Page::Overview => scrolled(ui, |ui| {
             facts_ui(ui, model, node);
             faults_ui(ui, node);
@@ -166,7 +166,7 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         Page::Clock => node_plots::clock_ui(ui, model, node, of_page),
         Page::Lines => lines_ui(ui, model, node),
         Page::Setup => scrolled(ui, |ui| setup_ui(ui, node)),
-    }
+    });
 }
 
 /// Shows what holds, resumes and slows the node's motion, and what became of it.

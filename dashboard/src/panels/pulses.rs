@@ -1,6 +1,7 @@
 //! The pulse inspector: recorded pins as a timeline, what is measured under the pointer, and where
 //! the rules of a driver are broken.
 
+use super::chooser::Purpose;
 use crate::{
     model::capture,
     model::capture::{
@@ -93,8 +94,11 @@ impl PulsesView {
 
 /// Shows the inspector.
 pub fn pulses_ui(ui: &mut Ui, view: &mut View) {
+    let choose = open_ui(ui, &mut view.pulses);
+    if choose {
+        view.chooser.open(Purpose::Capture, &view.pulses.path);
+    }
     let view = &mut view.pulses;
-    open_ui(ui, view);
     let PulsesView {
         limits,
         opened,
@@ -141,8 +145,10 @@ pub fn pulses_ui(ui: &mut Ui, view: &mut View) {
     });
 }
 
-fn open_ui(ui: &mut Ui, view: &mut PulsesView) {
-    ui.horizontal(|ui| {
+/// Shows which file is open, and returns whether one is to be chosen.
+fn open_ui(ui: &mut Ui, view: &mut PulsesView) -> bool {
+    let mut choose = false;
+    ui.horizontal_wrapped(|ui| {
         let label = ui.label("Capture");
         let edit = TextEdit::singleline(&mut view.path)
             .hint_text("left.vcd")
@@ -154,6 +160,7 @@ fn open_ui(ui: &mut Ui, view: &mut PulsesView) {
         if there && (open.clicked() || entered) {
             view.open_wanted = true;
         }
+        choose = ui.button("Choose capture…").clicked();
         if let Opened::Capture(shown) = &view.opened {
             let file = shown.name.rsplit(['/', '\\']).next().unwrap_or_default();
             let words = format!(
@@ -172,6 +179,7 @@ fn open_ui(ui: &mut Ui, view: &mut PulsesView) {
             }
         }
     });
+    choose
 }
 
 fn limits_ui(ui: &mut Ui, limits: &mut Limits) {
@@ -303,7 +311,7 @@ fn timeline_ui(ui: &mut Ui, shown: &Shown, go_to_ps: Option<(u64, u64)>) -> Opti
                 .take_while(|found| found.at_ps <= to_ps);
             let judged = shown.capture.verdict.iter().flat_map(|it| &it.found);
             let judged = judged.filter_map(|(at_ps, _)| *at_ps);
-            let top = (lane_count - 1) as f64 * LANE + 1.3;
+            let top = (lane_count - 1) as f64 * LANE + 1.2;
             let judged = judged.filter(|at_ps| (from_ps..=to_ps).contains(at_ps));
             let judged: PlotPoints<'_> = judged
                 .map(|at_ps| [at_ps as f64 / PS_PER_US, top])

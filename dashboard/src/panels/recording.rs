@@ -1,5 +1,6 @@
 //! Recording the session, and the bar that is there while the past is shown.
 
+use super::chooser::Purpose;
 use crate::{
     message::Moment,
     model::Model,
@@ -30,8 +31,12 @@ pub struct RecordingView {
 
 /// Shows the panel.
 pub fn recording_ui(ui: &mut Ui, session: &Session, view: &mut View) {
-    let view = &mut view.recording;
-    ui.horizontal(|ui| {
+    let View {
+        recording: view,
+        chooser,
+        ..
+    } = view;
+    ui.horizontal_wrapped(|ui| {
         let recording = session.recorder().is_some();
         let edit = path_ui(ui, "Record to", &mut view.record_path, !recording);
         if recording {
@@ -68,6 +73,9 @@ pub fn recording_ui(ui: &mut Ui, session: &Session, view: &mut View) {
         let open = ui.add_enabled(there, Button::new("▶ Open recording"));
         if open.clicked() {
             view.wish = Some(Wish::Open(view.open_path.trim().to_owned()));
+        }
+        if ui.button("Choose recording…").clicked() {
+            chooser.open(Purpose::Recording, &view.open_path);
         }
     });
     if let Some(why) = session.failed() {

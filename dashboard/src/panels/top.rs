@@ -13,6 +13,12 @@ use crate::{
 use egui::{Align, Layout, RichText, Ui};
 use keys::StopMode;
 
+/// Room for the buttons at the right, points.
+const BUTTONS_WIDTH: f32 = 145.0;
+
+/// Least room for the numbers, points.
+const NUMBERS_WIDTH_MIN: f32 = 150.0;
+
 /// Shows the bar.
 pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
     ui.add_space(4.0);
@@ -30,6 +36,7 @@ pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reques
         }
         ui.separator();
         ui.vertical(|ui| {
+            ui.set_max_width((ui.available_width() - BUTTONS_WIDTH).max(NUMBERS_WIDTH_MIN));
             ui.horizontal_wrapped(|ui| {
                 counts_ui(ui, &totals);
                 alarms_ui(ui, model.alarms().unseen(), view);

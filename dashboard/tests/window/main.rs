@@ -5,6 +5,7 @@ mod fixture;
 mod screen;
 
 mod alarms;
+mod chooser;
 mod composer;
 mod groups;
 mod history;

@@ -337,6 +337,22 @@ fn the_keys_are_shown_by_a_question_mark() {
 }
 
 #[test]
+fn the_log_shows_its_newest_lines() {
+    let mut dashboard = fleet();
+    for number in 0..500 {
+        let (node, text) = (node("cell-a-1"), format!("number {number}."));
+        tell(&mut dashboard, at_ms(1_000), Message::Log { node, text });
+    }
+    let mut harness = show(dashboard);
+    // What another panel remembers of its place is none of its business.
+    for key in [Key::T, Key::L] {
+        harness.key_press_modifiers(Modifiers::COMMAND, key);
+        harness.run_steps(4);
+    }
+    assert!(shows(&harness, "number 499.") && !shows(&harness, "number 1."));
+}
+
+#[test]
 fn picture_of_the_fleet_and_the_jobs() {
     picture_of("fleet", fleet);
 }
@@ -394,7 +410,8 @@ fn picture_before_anything_is_connected() {
         let to = "tcp/localhost:7447".to_owned();
         let connecting = Message::Link(LinkEvent::Connecting { to });
         tell(&mut dashboard, crate::fixture::START, connecting);
-        let why = "nothing that speaks zenoh answers at tcp/localhost:7447".to_owned();
+        let why =
+            "nothing answers at tcp/localhost:7447: Connection refused (os error 111)".to_owned();
         tell(
             &mut dashboard,
             at_ms(10),
