@@ -78,26 +78,28 @@ impl Process {
 ///
 /// # Panics
 /// It does not build.
-pub fn binary(package: &str, name: &str) -> PathBuf {
+pub fn binary(name: &str) -> PathBuf {
     let mut folder = std::env::current_exe().expect("it has a path");
     folder.pop();
     if folder.ends_with("deps") {
         folder.pop();
     }
-    let path = folder.join(name);
-    // A copy of this program elsewhere finds the others there; cargo knows whether they are old.
+    // Cargo knows whether they are old. Without it, a copy of this program finds copies of them.
     if let Some(cargo) = std::env::var_os("CARGO") {
         let mut build = Command::new(cargo);
-        build.args(["build", "--quiet", "--package", package, "--bin", name]);
+        // All at once: chosen alone, each would get dependencies with other features, built anew.
+        build.args(["build", "--quiet", "--bins"]);
+        build.args(["-p", "tests", "-p", "gateway", "-p", "emulator"]);
         if folder.ends_with("release") {
             build.arg("--release");
         }
         let status = build.current_dir(env!("CARGO_MANIFEST_DIR")).status();
         assert!(
             status.is_ok_and(|status| status.success()),
-            "{package} must build"
+            "{name} must build"
         );
     }
+    let path = folder.join(name);
     assert!(path.exists(), "{} is not built", path.display());
     path
 }
@@ -118,7 +120,7 @@ impl Gateway {
     /// # Panics
     /// It does not get ready; its own words are on standard error.
     pub fn start(store: &Path, network: Option<&str>) -> Self {
-        Self::run(Command::new(binary("gateway", "fleet")), store, network)
+        Self::run(Command::new(binary("fleet")), store, network)
     }
 
     /// The same by another program that runs it, a shell for example.
@@ -144,7 +146,7 @@ impl Gateway {
 
 /// Starts one process of `count` emulated nodes, `NAME-1` and so on.
 pub fn emulators(name: &str, count: usize, connect: &str) -> Process {
-    let mut command = Command::new(binary("emulator", "emulator"));
+    let mut command = Command::new(binary("emulator"));
     command
         .args(["--name", name, "--nodes", &count.to_string()])
         .args(["--connect", connect])
@@ -163,11 +165,25 @@ pub fn open_router() -> (Session, String) {
         .expect("a free port")
         .port();
     let address = format!("tcp/127.0.0.1:{port}");
-    let session = open(&[
-        ("mode", "\"router\"".to_owned()),
-        ("listen/endpoints", format!("[\"{address}\"]")),
-    ]);
-    (session.expect("a free port"), address)
+    (open_router_on(&address), address)
+}
+
+/// The same at a given address.
+///
+/// # Panics
+/// Somebody else listens there.
+pub fn open_router_on(address: &str) -> Session {
+    let since = Instant::now();
+    loop {
+        match open(&[
+            ("mode", "\"router\"".to_owned()),
+            ("listen/endpoints", format!("[\"{address}\"]")),
+        ]) {
+            Ok(session) => return session,
+            // The one before may not be gone yet.
+            Err(error) => assert!(since.elapsed() < PATIENCE, "{error}"),
+        }
+    }
 }
 
 /// Opens a client, as soon as there is somebody to connect to.
@@ -201,11 +217,24 @@ fn open(settings: &[(&str, String)]) -> zenoh::Result<Session> {
 /// Asks, with JSON if there is any; gives what comes back, errors too.
 ///
 /// # Panics
-/// The session is closed, or somebody does not answer in JSON.
+/// The session is closed.
 pub fn get(session: &Session, key: &str, payload: Option<&Value>) -> Vec<Value> {
+    get_within(session, key, payload, PATIENCE)
+}
+
+/// The same for somebody who waits no longer than this.
+///
+/// # Panics
+/// See [`get`].
+pub fn get_within(
+    session: &Session,
+    key: &str,
+    payload: Option<&Value>,
+    patience: Duration,
+) -> Vec<Value> {
     let mut query = session
         .get(key)
-        .timeout(PATIENCE)
+        .timeout(patience)
         .consolidation(zenoh::query::ConsolidationMode::None);
     if let Some(payload) = payload {
         query = query
@@ -217,7 +246,11 @@ pub fn get(session: &Session, key: &str, payload: Option<&Value>) -> Vec<Value> 
         Ok(sample) => sample.payload().to_bytes().into_owned(),
         Err(error) => error.payload().to_bytes().into_owned(),
     };
-    let json = |bytes: Vec<u8>| serde_json::from_slice(&bytes).expect("JSON");
+    // Zenoh's own errors, a timeout for example, are plain text.
+    let json = |bytes: Vec<u8>| {
+        let text = || Value::String(String::from_utf8_lossy(&bytes).into_owned());
+        serde_json::from_slice(&bytes).unwrap_or_else(|_| text())
+    };
     replies.into_iter().map(text).map(json).collect()
 }
 

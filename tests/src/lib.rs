@@ -15,9 +15,11 @@
 //! Start with `campaign.rs` for a run, `network.rs` for what can go wrong on the way. What needs real
 //! processes and sockets is in `field.rs`.
 
+pub mod cables;
 pub mod campaign;
 pub mod field;
 pub mod gateway_process;
+pub mod long;
 pub mod memory;
 pub mod network;
 pub mod random;

@@ -4,6 +4,8 @@
 //!   cargo world -- scenarios --count 100000          from seed 0, on all cores
 //!   cargo world -- scenarios --seed 4711             one, told in a line
 //!   cargo world -- soak --nodes 20 --hours 24        virtual hours; memory at each of them
+//!   cargo world -- soak --wall 30                    minutes, with real processes and sockets
+//!   cargo world -- cables --seconds 60               network namespaces, delay, loss, pulled cables
 //! ```
 
 use clap::{Parser, Subcommand};
@@ -14,10 +16,13 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
     sync::{Mutex, PoisonError},
     thread,
-    time::Instant,
+    time::{Duration, Instant},
 };
 use tests::{
+    cables,
     campaign::{self, Outcome},
+    field,
+    long::{self, Growth, Sample},
     memory,
     soak::{self, Hour},
 };
@@ -58,6 +63,29 @@ enum Verb {
         /// Where its random numbers come from.
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// So many minutes of a real clock instead, with a gateway and nodes as processes; memory and
+        /// file descriptors of both twice a minute.
+        #[arg(long, value_name = "MINUTES", conflicts_with = "hours")]
+        wall: Option<u64>,
+    },
+    /// Router, gateway and nodes in network namespaces of their own, with delay and loss; cables are
+    /// pulled, the gateway is killed, the router restarts. As root; says so where that is not allowed.
+    Cables {
+        /// How long things go wrong.
+        #[arg(long, default_value_t = 60)]
+        seconds: u64,
+        /// Where its random numbers come from.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// It runs in this namespace already.
+        #[arg(long, hide = true)]
+        inside: Option<String>,
+    },
+    /// A zenoh router and nothing else, until it is killed.
+    #[command(hide = true)]
+    Router {
+        /// Where it listens.
+        address: String,
     },
 }
 
@@ -78,7 +106,47 @@ fn main() -> ExitCode {
             threads,
             ..
         } => scenarios(from, count, threads),
-        Verb::Soak { nodes, hours, seed } => {
+        Verb::Cables {
+            seconds,
+            seed,
+            inside: Some(space),
+        } => match cables::run(&space, Duration::from_secs(seconds), seed) {
+            Ok(outcome) => {
+                println!("{outcome}");
+                ExitCode::SUCCESS
+            }
+            Err(error) => skipped(&error),
+        },
+        Verb::Cables { .. } => {
+            let arguments: Vec<_> = std::env::args().skip(1).collect();
+            cables::enter(&arguments).map_or_else(|error| skipped(&error), |()| ExitCode::SUCCESS)
+        }
+        Verb::Router { address } => {
+            let _router = field::open_router_on(&address);
+            loop {
+                thread::park();
+            }
+        }
+        Verb::Soak {
+            nodes,
+            seed,
+            wall: Some(minutes),
+            ..
+        } => {
+            let mut samples = Vec::new();
+            println!("{}", Sample::HEADER);
+            let wall = Duration::from_secs(60 * minutes);
+            long::run(nodes, wall, Duration::from_secs(30), seed, |sample| {
+                println!("{sample}");
+                let _ = io::stdout().flush();
+                samples.push(sample);
+            });
+            println!("{:?}", Growth::of(&samples));
+            ExitCode::SUCCESS
+        }
+        Verb::Soak {
+            nodes, hours, seed, ..
+        } => {
             println!("{}", Hour::HEADER);
             soak::run(nodes, hours, seed, |hour| {
                 println!("{hour}");
@@ -88,6 +156,11 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
     }
+}
+
+fn skipped(why: &str) -> ExitCode {
+    println!("skipped, nothing was tested: this machine does not allow network namespaces ({why})");
+    ExitCode::SUCCESS
 }
 
 fn scenarios(from: u64, count: u64, threads: Option<usize>) -> ExitCode {
