@@ -68,7 +68,7 @@ class Fleet:
 
     def close(self) -> None:
         """Ends the connection."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     # ── jobs ──
 
@@ -315,7 +315,7 @@ class Fleet:
             if reply.ok is not None:
                 answers.append(json.loads(reply.ok.payload.to_string()))
                 continue
-            text = reply.err.payload.to_string()
+            text = reply.err.payload.to_string() if reply.err is not None else ""
             try:
                 error = json.loads(text)["error"]
             except (ValueError, KeyError, TypeError):
