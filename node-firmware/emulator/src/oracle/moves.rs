@@ -44,6 +44,7 @@ pub(super) fn ticks_of(command: &Command) -> u64 {
 impl Judge<'_> {
     /// Explains as many steps as belong to this run and returns how many.
     pub(super) fn take_steps(&mut self, run: &Run, until: u64) -> u32 {
+        let sample_ticks = self.limits.sample_ticks;
         let seen = &mut self.axes[run.axis];
         let sign = i64::from(run.steps.signum());
         let mut found = 0;
@@ -52,7 +53,12 @@ impl Judge<'_> {
             let Some(step) = seen.next(until).filter(|step| step.sign == sign) else {
                 break;
             };
-            if before.is_some_and(|before| step.at - before != run.interval_ticks) {
+            let is_off = |before: u64| {
+                let interval = step.at - before;
+                // Both edges may lie off.
+                interval.abs_diff(run.interval_ticks) > 2 * sample_ticks
+            };
+            if before.is_some_and(is_off) {
                 break;
             }
             before = Some(step.at);
