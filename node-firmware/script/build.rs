@@ -172,7 +172,11 @@ fn main() {
 /// Returns what the C compiler of a chip must be told to find its C library's headers: newlib is at
 /// home in Espressif's compiler for Xtensa, picolibc is a guest in Debian's for RISC-V.
 fn bare_flags() -> &'static [&'static str] {
+    // With a floating-point unit its registers hold arguments; cc does not say so for bare targets.
+    let features = env::var("CARGO_CFG_TARGET_FEATURE").unwrap_or_default();
+    let has_unit = features.split(',').any(|feature| feature == "f");
     match env::var("CARGO_CFG_TARGET_ARCH").as_deref() {
+        Ok("riscv32") if has_unit => &["--specs=picolibc.specs", "-mabi=ilp32f"],
         Ok("riscv32") => &["--specs=picolibc.specs"],
         Ok("xtensa") => &["-mlongcalls"],
         _ => &[],

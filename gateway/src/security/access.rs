@@ -2,7 +2,7 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
 //! | node | its own status, ack, clock, start, pace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
@@ -106,6 +106,8 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
         format!("{prefix}/manage/**"),
     ]);
     work.push(format!("{prefix}/node/*/script/*"));
+    // Other firmware: what is signed counts, but who may ask is the operator's affair.
+    work.push(keys.every_node(NodeTopic::Update).to_string());
     rules.add(
         "work",
         &["ingress"],
@@ -195,21 +197,20 @@ impl Rules {
         // Stored scripts: put, deleted and read on keys below one of its own; by a wild key too.
         let prefix = keys.prefix();
         let scripts = vec![format!("{prefix}/node/{name}/script/*")];
-        let asked = vec![format!("{prefix}/node/*/script/*")];
+        let mut asked = vec![format!("{prefix}/node/*/script/*")];
         heard.extend(asked.clone());
+        // Other firmware is asked for, on one key.
+        asked.push(keys.every_node(NodeTopic::Update).to_string());
         let mut said = own(&SAID);
         said.push(format!("{}/**", keys.node(name, NodeTopic::Data)));
         let mut listened = own(&HEARD);
         listened.extend(scripts.clone());
+        let mut kept = scripts;
+        kept.extend(own(&[NodeTopic::Update]));
         let verbs = ["says", "lives", "listens", "hears", "keeps", "asked"];
         let ids = verbs.map(|verb| format!("{name}-{verb}"));
         let [says, lives, listens, hears, keeps, asks] = &ids;
-        self.add(
-            keeps,
-            &["ingress"],
-            &["declare_queryable", "reply"],
-            scripts,
-        );
+        self.add(keeps, &["ingress"], &["declare_queryable", "reply"], kept);
         self.add(asks, &["egress"], &["query"], asked);
         self.add(says, &["ingress"], &["put"], said);
         self.add(

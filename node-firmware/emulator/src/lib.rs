@@ -13,6 +13,7 @@
 
 #[cfg(unix)]
 pub mod board;
+pub mod capture;
 pub mod cd;
 pub mod clock;
 pub mod config;

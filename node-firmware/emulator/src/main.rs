@@ -5,10 +5,13 @@ use clap::{Parser, ValueEnum};
 #[cfg(unix)]
 use emulator::board::EmulatedBoard;
 use emulator::{
-    Credentials, EmulatedHandle, EmulatorConfig, Recording, config::RECORDED_EDGES_MAX,
-    flash::Flash, oracle, record::Life, verdict, wiring::Wiring,
+    Credentials, EmulatedHandle, EmulatorConfig, Recording, capture::Capture,
+    config::RECORDED_EDGES_MAX, flash::Flash, oracle, record::Life, verdict, wiring::Wiring,
 };
-use keys::{Keys, NodeId};
+use keys::{
+    Keys, NodeId,
+    job::{JobRequest, Work},
+};
 use motion::limits::CHANNELS;
 use node::LinkLoss;
 use std::{
@@ -122,10 +125,16 @@ struct Args {
     #[arg(long, value_name = "FILE")]
     vcd: Option<PathBuf>,
 
-    /// Judge every pulse against the commands that were taken, at the end. With --vcd the verdict
-    /// stands in the dump too, where the dashboard shows it.
-    #[arg(long)]
-    check: bool,
+    /// Judge every pulse against the commands that were taken, at the end; with --vcd the verdict
+    /// stands in the dump too, where the dashboard shows it. With a file: judge this
+    /// capture of a logic analyser (CSV or VCD, signals step0, dir0, …, 16 MHz or faster) against
+    /// --job, and do nothing else.
+    #[arg(long, value_name = "CAPTURE", num_args = 0..=1, require_equals = false)]
+    check: Option<Option<PathBuf>>,
+
+    /// Job that the capture shows, from rest at position 0: JSON with `commands`.
+    #[arg(long, value_name = "FILE", requires = "check")]
+    job: Option<PathBuf>,
 
     /// Emulate a whole board with its flash in this file, made blank if it is not there: name, router,
     /// user and axes come from what `fleet provision` has told it, and `fleet update` gives it other
@@ -178,7 +187,7 @@ impl Args {
             OnLinkLoss::Decelerate => LinkLoss::Decelerate,
             OnLinkLoss::Halt => LinkLoss::Halt,
         };
-        let record = if self.check {
+        let record = if self.check.is_some() {
             Recording::Edges {
                 max: RECORDED_EDGES_MAX,
             }
@@ -275,6 +284,9 @@ async fn main() -> Result<ExitCode> {
         .with_writer(std::io::stderr)
         .init();
     let args = Args::parse();
+    if let Some(Some(file)) = &args.check {
+        return check_capture(file, args.job.as_deref());
+    }
     #[cfg(unix)]
     if let Some(file) = &args.flash {
         return run_board(&args, file).await;
@@ -297,7 +309,38 @@ async fn main() -> Result<ExitCode> {
     }
     wait_for_signal().await?;
     tracing::info!("stopping");
-    finish(handles, args.check).await
+    finish(handles, args.check.is_some()).await
+}
+
+/// Judges a capture against a job.
+fn check_capture(file: &Path, job: Option<&Path>) -> Result<ExitCode> {
+    let job = job.context("--check CAPTURE needs --job FILE: what was played")?;
+    let text = std::fs::read(job).with_context(|| format!("--job {}", job.display()))?;
+    let request = JobRequest::from_json(&text)
+        .map_err(|error| anyhow::anyhow!("--job {}: {}", job.display(), error.message))?;
+    let Work::Commands(asked) = &request.work else {
+        bail!(
+            "--job {}: a script; only commands can be judged",
+            job.display()
+        );
+    };
+    // A capture shows one node: its barriers are passed at once.
+    let commands: Vec<_> = asked.iter().map(|asked| asked.to_command(|_| 0)).collect();
+    let name = file.display();
+    let text = std::fs::read_to_string(file).with_context(|| format!("--check {name}"))?;
+    let capture = Capture::read(&text).with_context(|| format!("{name}"))?;
+    match capture.check(&commands) {
+        Ok(summary) => {
+            println!("{name}: good: {summary}");
+            Ok(ExitCode::SUCCESS)
+        }
+        Err(violations) => {
+            for violation in violations {
+                println!("{name}: {violation}");
+            }
+            bail!("violations found");
+        }
+    }
 }
 
 /// Runs a whole board until a signal.
@@ -322,7 +365,7 @@ async fn run_board(args: &Args, file: &Path) -> Result<ExitCode> {
     }
     let mut good = true;
     let lives = board.power_off().await;
-    if args.check {
+    if args.check.is_some() {
         good = judge("board", &lives);
     }
     if !good {

@@ -79,6 +79,8 @@ pub struct Limits {
     pub stop_accel_hz_per_s: u32,
     /// Most that the speed of any axis may jump where lines are joined, Hz.
     pub junction_hz: u32,
+    /// How far an edge of the record may lie off, ticks: 0 for what an emulated pin did.
+    pub sample_ticks: u64,
     /// A path decelerates this long after a stop, ticks, …
     pub stop_begin_ticks: u64,
     /// … and after what the pulse hardware holds of each axis, steps.
@@ -99,6 +101,7 @@ impl Default for Limits {
             ahead_ticks: 25_000 * TICKS_PER_US,
             stop_accel_hz_per_s: 100_000,
             junction_hz: 200,
+            sample_ticks: 0,
             stop_begin_ticks: 2_000 * TICKS_PER_US,
             stop_begin_steps: 48,
         }

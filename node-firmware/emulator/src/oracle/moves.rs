@@ -44,6 +44,7 @@ pub(super) fn ticks_of(command: &Command) -> u64 {
 impl Judge<'_> {
     /// Explains as many steps as belong to this run and returns how many.
     pub(super) fn take_steps(&mut self, run: &Run, until: u64) -> u32 {
+        let sample_ticks = self.limits.sample_ticks;
         let seen = &mut self.axes[run.axis];
         let sign = i64::from(run.steps.signum());
         let mut found = 0;
@@ -53,7 +54,8 @@ impl Judge<'_> {
                 break;
             };
             if let Some(before) = before
-                && step.at - before != run.interval_ticks
+                // Both edges may lie off.
+                && (step.at - before).abs_diff(run.interval_ticks) > 2 * sample_ticks
                 && !self
                     .holds
                     .explain(before, step.at, run.interval_ticks, self.limits)
