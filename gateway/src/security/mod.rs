@@ -49,9 +49,9 @@
 //! the driver drops reads all the time; its halves borrow from the connection, while the driver owns
 //! both; names are checked and addresses are not, so a router must have a name; and it brings a second
 //! generation of hash and curve crates. A stream below it that hands on whole records only would make
-//! reads safe to drop. `mbedtls-rs` 0.3 is C with an allocator under the motion core; rustls without
-//! `std` wants an allocator and a provider that does not exist for this chip. If it is built, it is
-//! `embedded-tls`.
+//! reads safe to drop. Not tried: `mbedtls-rs` 0.3, which is C with an allocator under the motion
+//! core, and rustls without `std`, which wants an allocator and a provider of its algorithms. If it
+//! is built, it is `embedded-tls`.
 //!
 //! **Clocks.** Certificates are good for twenty years, so that a clock which is wrong by months does
 //! not stop a fleet; nothing else here asks what day it is.
