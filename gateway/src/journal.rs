@@ -51,7 +51,7 @@ const NODES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("nodes");
 const FORMAT_KEY: &str = "format";
 
 /// Stores smaller than this are not compacted, bytes: there is nothing to be gained.
-pub const COMPACT_BYTES_MIN: u64 = 32 << 20;
+pub const COMPACT_BYTES_MIN: u64 = 8 << 20;
 
 /// What a file of the embedded database begins with.
 const MAGIC: &[u8; 4] = b"redb";

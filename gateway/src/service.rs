@@ -347,6 +347,10 @@ fn signers(config: &GatewayConfig) -> Result<Vec<[u8; 32]>, BusError> {
         let home = Home::open(folder)?;
         signers.extend(home.signers()?.iter().map(|signer| signer.key.0));
     }
+    if !signers.is_empty() {
+        let keys = signers.len();
+        tracing::info!(keys, "only jobs that an operator has signed are taken");
+    }
     Ok(signers)
 }
 

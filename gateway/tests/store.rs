@@ -56,10 +56,13 @@ fn open_error(path: &Path) -> JournalError {
         .expect_err("it must be refused")
 }
 
+/// A store of each format, how many of its jobs wait or run, and how many have ended.
+const STORES: [(&str, usize, usize); 1] = [("format-1", 3, 2)];
+
 #[test]
 fn a_store_of_every_format_is_read_and_taken_up() {
     let folder = tempfile::tempdir().expect("a folder");
-    for (name, open, ended) in [("format-1", 3, 2)] {
+    for (name, open, ended) in STORES {
         // A gateway writes into what it opens.
         let path = folder.path().join(name);
         let kept = format!("{}/tests/stores/{name}.redb", env!("CARGO_MANIFEST_DIR"));
@@ -251,14 +254,13 @@ fn a_store_that_is_mostly_waste_is_made_smaller_when_it_is_opened() {
     let (mut journal, _) = Journal::open(&path).expect("opens");
     let name = |index: u64| format!("job-{index}");
     let count = 2 * COMPACT_BYTES_MIN / (1 << 20);
-    for index in 0..count {
-        let put = Write::Put {
-            table: Table::Requests,
-            key: name(index),
-            value: vec![index as u8; 1 << 20],
-        };
-        journal.commit(&[put]).expect("commits");
-    }
+    let put = |index| Write::Put {
+        table: Table::Requests,
+        key: name(index),
+        value: vec![index as u8; 1 << 20],
+    };
+    let all: Vec<Write> = (0..count).map(put).collect();
+    journal.commit(&all).expect("commits");
     let remove = |index| Write::Remove {
         table: Table::Requests,
         key: name(index),

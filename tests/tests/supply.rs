@@ -39,14 +39,13 @@ const UNSAFE: [(&str, &str); 6] = [
 ];
 
 /// Crates that we name ourselves and that come in two versions all the same.
-const TWICE: [(&str, &str); 4] = [
+const TWICE: [(&str, &str); 3] = [
+    ("base64", "0.23 is below rcgen; zenoh has 0.22"),
     (
         "getrandom",
         "zenoh-keyexpr has 0.2; newer crates have newer ones",
     ),
-    ("hmac", "0.12 makes the MAC of zenoh 1.x"),
-    ("sha2", "zenoh's and rcgen's trees have 0.10"),
-    ("sha3", "0.10 makes the hash of zenoh 1.x"),
+    ("thiserror", "the window's toolkit for Wayland has 1"),
 ];
 
 fn root() -> PathBuf {

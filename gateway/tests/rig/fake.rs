@@ -6,6 +6,7 @@ use keys::{
     AxisStatus, BatchAck, BatchReader, Command, Features, JobId, LocalMicros, NodeId, NodeState,
     NodeTopic, Order, QueueId, Refusal, Status, Stop, StopMode, StopReason, StopReport, Verdict,
     clock::{ClockMessage, ClockReply},
+    signed::Proof,
     start::StartMessage,
 };
 use std::collections::HashMap;
@@ -418,7 +419,10 @@ impl FakeNode {
     }
 
     fn order(&mut self, payload: &[u8], now_us: u64) -> Verdict {
-        let reader = BatchReader::new(payload).ok().filter(|_| !self.deaf);
+        // It asks for no signature; what signs an order stands before it.
+        let order = Proof::split(payload).map(|(_, order)| order);
+        let reader = order.and_then(BatchReader::new).ok();
+        let reader = reader.filter(|_| !self.deaf);
         let Some(mut reader) = reader else {
             return Verdict::Refused(Refusal::Malformed);
         };

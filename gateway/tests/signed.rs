@@ -1,0 +1,150 @@
+//! Signed jobs in the gateway: what it demands, what it passes on, and that a restart changes nothing
+//! of it. The node's side is in `node/tests/signed.rs`.
+
+mod rig;
+
+use gateway::{
+    fleet::{FleetConfig, commands_of},
+    security::signing::{Signer, root_of, statement},
+};
+use keys::{
+    BatchReader, Command, NodeId, NodeTopic, Order,
+    job::JobRequest,
+    record::JobState,
+    signed::{Proof, link_command, root_of_commands},
+};
+use rig::{MS, Rig, S, id, moves};
+use serde_json::{Value, json};
+
+const COUNT: usize = 2_000;
+
+struct Plant {
+    rig: Rig,
+    alice: Signer,
+    mallory: Signer,
+}
+
+/// A gateway that takes what alice has signed, and a node with a short ring.
+fn plant() -> Plant {
+    let (alice, mallory) = (
+        Signer::new().expect("random numbers"),
+        Signer::new().expect("random numbers"),
+    );
+    let config = FleetConfig {
+        signers: vec![alice.public().0],
+        ..FleetConfig::default()
+    };
+    let mut rig = Rig::with(config, 1);
+    rig.add("left");
+    rig.node("left").ring_commands = 100;
+    rig.run(2 * S);
+    Plant {
+        rig,
+        alice,
+        mallory,
+    }
+}
+
+fn commands(job: &Value) -> Vec<Command> {
+    let request = JobRequest::from_json(job.to_string().as_bytes()).expect("legal");
+    commands_of(&request).to_vec()
+}
+
+fn sign(rig: &mut Rig, signer: &Signer, mut job: Value, number: u64) -> Value {
+    let boot = rig.node("left").queue.boot;
+    let name = id(job["id"].as_str().expect("it has one"));
+    let root = root_of(&commands(&job), None).expect("short");
+    let node = NodeId::new("left").expect("legal");
+    let signature = signer.sign(&statement(&node, &name, boot, number, root));
+    job["signature"] = serde_json::to_value(signature).expect("JSON");
+    job
+}
+
+#[test]
+fn a_signed_job_goes_on_after_restarts_of_the_gateway_and_each_order_proves_itself() {
+    let Plant { mut rig, alice, .. } = plant();
+    let job = sign(&mut rig, &alice, moves("signed", COUNT, 100), 1);
+    let commands = commands(&job);
+    let name = rig.accept("left", &job);
+    for _ in 0..3 {
+        rig.run(S);
+        rig.restart_gateway();
+        assert_eq!(rig.state(&name), JobState::Running);
+    }
+    assert_eq!(rig.finish(&name, 60 * S), JobState::Succeeded);
+    assert_eq!(rig.node("left").taken.len(), COUNT);
+    let mut signatures = Vec::new();
+    for (_, _, topic, _, payload) in &rig.sent {
+        if *topic != NodeTopic::Batch {
+            continue;
+        }
+        let (proof, order) = Proof::split(payload).expect("an order");
+        let mut reader = BatchReader::new(order).expect("an order");
+        let Order::Batch(header) = *reader.order() else {
+            continue;
+        };
+        let proof = proof.expect("each order has one");
+        assert!(proof.includes(&header));
+        let mut inside = Vec::new();
+        while let Some(command) = reader.next_command().expect("a command") {
+            inside.push(command);
+        }
+        let chain = inside
+            .iter()
+            .rev()
+            .fold(proof.after, |after, command| link_command(command, &after));
+        let from = (header.first_command - proof.first_command) as usize;
+        assert_eq!(chain, root_of_commands(&commands[from..]), "from {from}");
+        signatures.push(proof.signature());
+    }
+    assert!(signatures.len() > 10, "it was cut into orders");
+    signatures.dedup();
+    assert_eq!(signatures.len(), 1, "signed once, by the operator");
+}
+
+#[test]
+fn a_gateway_with_signers_refuses_what_a_node_would_refuse_and_says_why() {
+    let Plant {
+        mut rig,
+        alice,
+        mallory,
+    } = plant();
+    let job = moves("a", 3, 1_000);
+    let good = sign(&mut rig, &alice, job.clone(), 1);
+    let foreign = sign(&mut rig, &mallory, job.clone(), 1);
+    let mut renamed = good.clone();
+    renamed["id"] = json!("b");
+    let mut longer = good.clone();
+    longer["commands"] = moves("a", 4, 1_000)["commands"].clone();
+    let mut cut = good.clone();
+    cut["signature"]["signature"] = json!("00");
+    let group = json!({"id": "g", "nodes": {"left": {"commands": job["commands"]}}});
+    for (job, code, words) in [
+        (&job, "not_allowed", "has to sign"),
+        (&foreign, "not_allowed", "nobody"),
+        (&renamed, "not_allowed", "not the signature of this job"),
+        (&longer, "not_allowed", "not the signature of this job"),
+        (&cut, "bad_json", "128 hexadecimal digits"),
+    ] {
+        let (found, message) = rig.refuse("left", job);
+        assert_eq!(found, code, "{message}");
+        assert!(message.contains(words), "{message}");
+    }
+    let (code, message) = rig.refuse_group(&group);
+    assert!(
+        code == "not_allowed" && message.contains("synchronized"),
+        "{message}"
+    );
+    rig.reboot("left");
+    rig.run(2 * S);
+    let (code, message) = rig.refuse("left", &good);
+    assert!(
+        code == "not_allowed" && message.contains("earlier start"),
+        "{message}"
+    );
+    let again = sign(&mut rig, &alice, job, 2);
+    let name = rig.accept("left", &again);
+    assert_eq!(rig.finish(&name, 5 * S), JobState::Succeeded);
+    rig.run(10 * MS);
+    assert_eq!(rig.node("left").taken.len(), 3);
+}
