@@ -10,7 +10,9 @@
 //! that nothing is lost when a read is cancelled: partial input lives here, never in a future.
 //! Knows nothing of what a batch contains.
 
-use alloc::vec::Vec;
+use alloc::{sync::Arc, vec::Vec};
+
+use zenoh_buffers::ZSlice;
 
 use crate::limits::INPUT_BYTES_MAX;
 
@@ -78,11 +80,11 @@ impl BatchReader {
         Ok(())
     }
 
-    /// The next whole batch, without its length.
+    /// The next whole batch, without its length; it is taken.
     ///
     /// # Errors
     /// [`ReadError::Oversized`] as soon as the length is known; the stream cannot go on.
-    pub fn next_batch(&mut self) -> Result<Option<Vec<u8>>, ReadError> {
+    pub fn next_batch(&mut self) -> Result<Option<&[u8]>, ReadError> {
         let waiting = &self.waiting[self.start..];
         let Some((length, rest)) = waiting.split_first_chunk::<2>() else {
             return Ok(None);
@@ -94,9 +96,27 @@ impl BatchReader {
         let Some(batch) = rest.get(..batch_bytes) else {
             return Ok(None);
         };
-        let batch = batch.to_vec();
         self.start += 2 + batch_bytes;
         Ok(Some(batch))
+    }
+}
+
+/// Memory for the batch that is decoded, in the form that the codec shares parts of. It is used
+/// again as soon as nobody holds a part, so a message costs no memory but its own. Keeps the longest
+/// batch so far: at most what was agreed.
+#[derive(Debug, Default)]
+pub(crate) struct BatchMemory(Arc<Vec<u8>>);
+
+impl BatchMemory {
+    /// Copies a batch and gives the whole of it.
+    pub(crate) fn hold(&mut self, batch: &[u8]) -> ZSlice {
+        if Arc::get_mut(&mut self.0).is_none() {
+            self.0 = Arc::default();
+        }
+        let bytes = Arc::get_mut(&mut self.0).expect("it is new, or nobody shares it");
+        bytes.clear();
+        bytes.extend_from_slice(batch);
+        ZSlice::new(self.0.clone(), 0, batch.len()).expect("it is as long as it is")
     }
 }
 
@@ -108,7 +128,7 @@ mod tests {
     fn batches(reader: &mut BatchReader) -> Vec<Vec<u8>> {
         let mut batches = Vec::new();
         while let Some(batch) = reader.next_batch().unwrap() {
-            batches.push(batch);
+            batches.push(batch.to_vec());
         }
         batches
     }

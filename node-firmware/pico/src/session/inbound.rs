@@ -43,7 +43,7 @@ impl Session {
                 Some(decoding) => decoding,
                 None => match self.reader.next_batch()? {
                     Some(batch) => Decoding {
-                        rest: batch.into(),
+                        rest: self.batch.hold(batch),
                         frame: None,
                     },
                     None => return Ok(()),
@@ -201,22 +201,26 @@ impl Session {
         let Ok(expr) = keyexpr::new(key.as_str()) else {
             return self.count_unknown();
         };
+        let mut subscribers = [SubscriberId(0); limits::SUBSCRIBERS_MAX];
+        let mut count = 0;
         let matching = self.declarations.matching(Kind::Subscriber, expr);
-        let mut subscribers: Vec<u32> = matching.map(|entity| entity.id).collect();
-        let Some(last) = subscribers.pop() else {
+        for (place, entity) in subscribers.iter_mut().zip(matching) {
+            *place = SubscriberId(entity.id);
+            count += 1;
+        }
+        let Some((last, others)) = subscribers[..count].split_last() else {
             self.counters.unwanted = self.counters.unwanted.wrapping_add(1);
             return;
         };
         let sample = network::sample(key, push.ext_qos, push.payload);
-        for subscriber in subscribers {
-            let subscriber = SubscriberId(subscriber);
+        for &subscriber in others {
             self.events.push_back(Event::Message {
                 subscriber,
                 sample: sample.clone(),
             });
         }
         self.events.push_back(Event::Message {
-            subscriber: SubscriberId(last),
+            subscriber: *last,
             sample,
         });
     }
