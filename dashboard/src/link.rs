@@ -12,7 +12,7 @@
 
 pub mod inbox;
 mod perform;
-pub mod refusal;
+mod refusal;
 mod session;
 
 use crate::{

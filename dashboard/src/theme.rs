@@ -14,6 +14,9 @@ pub const ROW_HEIGHT: f32 = 22.0;
 /// Size of STOP ALL, points: large enough to hit without aiming.
 pub const STOP_ALL_SIZE: egui::Vec2 = egui::vec2(190.0, 52.0);
 
+/// Where STOP ALL ends, points below the top of the window.
+pub const STOP_ALL_BOTTOM: f32 = STOP_ALL_SIZE.y + 20.0;
+
 /// What a colour says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
@@ -190,6 +193,17 @@ pub fn named(response: &Response, role: Role, name: &str) {
 pub fn stop_button(text: &str) -> egui::Button<'static> {
     let text = RichText::new(text.to_owned()).color(STOP_TEXT).strong();
     egui::Button::new(text).fill(STOP_FILL)
+}
+
+/// A small window over the panels. Wherever it is moved, it never covers STOP ALL.
+pub fn window<'a>(ctx: &egui::Context, title: &'a str) -> egui::Window<'a> {
+    let all = ctx.content_rect();
+    let below = all.with_min_y((all.top() + STOP_ALL_BOTTOM).min(all.bottom()));
+    egui::Window::new(title)
+        .collapsible(false)
+        .pivot(egui::Align2::CENTER_CENTER)
+        .default_pos(below.center())
+        .constrain_to(below)
 }
 
 /// Sets fonts, sizes of text and gaps, once.

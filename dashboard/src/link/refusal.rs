@@ -17,7 +17,7 @@ use tokio_rustls::{
 const STEP_MAX: Duration = Duration::from_secs(5);
 
 /// Returns why a session to this locator did not come about, for a person.
-pub async fn why(locator: &str, credentials: Option<&Credentials>) -> String {
+pub(super) async fn why(locator: &str, credentials: Option<&Credentials>) -> String {
     let (protocol, address) = locator.split_once('/').unwrap_or(("tcp", locator));
     let stream = match timeout(STEP_MAX, TcpStream::connect(address)).await {
         Ok(Ok(stream)) => stream,

@@ -9,7 +9,7 @@ use crate::{
     theme::{self, Tone},
     view::{Tab, View},
 };
-use egui::{Role, ScrollArea, Ui, Window};
+use egui::{Role, ScrollArea, Ui};
 use std::path::{Path, PathBuf};
 
 /// What the file is for.
@@ -103,10 +103,9 @@ pub fn chooser_ui(ui: &Ui, view: &mut View, requests: &mut Requests) {
     };
     let mut open = true;
     let mut chosen = None;
-    Window::new(purpose.title())
+    theme::window(ui.ctx(), purpose.title())
         .id(egui::Id::unique("chooser"))
         .default_size([440.0, 320.0])
-        .collapsible(false)
         .open(&mut open)
         .show(ui.ctx(), |ui| match view.chooser.listing.clone() {
             None => {

@@ -1,7 +1,7 @@
 //! The keys, shown by `?`.
 
 use crate::{keyboard, theme, view::View};
-use egui::{Align2, RichText, Ui, Window};
+use egui::{RichText, Ui};
 
 /// Shows the keys, if they are asked for.
 pub fn help_ui(ui: &Ui, view: &mut View) {
@@ -9,9 +9,7 @@ pub fn help_ui(ui: &Ui, view: &mut View) {
         return;
     }
     let mut open = true;
-    Window::new("Keys")
-        .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
-        .collapsible(false)
+    theme::window(ui.ctx(), "Keys")
         .resizable(false)
         .open(&mut open)
         .show(ui.ctx(), |ui| {

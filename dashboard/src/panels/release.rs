@@ -7,7 +7,7 @@ use crate::{
     theme::{self, Tone},
     view::View,
 };
-use egui::{Align2, Ui, Window};
+use egui::Ui;
 use keys::record::NodeWord;
 
 /// Asks, if a release was begun.
@@ -27,9 +27,7 @@ pub fn release_ui(ui: &Ui, model: &Model, view: &mut View, requests: &mut Reques
         .collect();
     let mut open = true;
     let mut done = false;
-    Window::new("Release")
-        .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
-        .collapsible(false)
+    theme::window(ui.ctx(), "Release")
         .resizable(false)
         .open(&mut open)
         .show(ui.ctx(), |ui| {
