@@ -6,7 +6,7 @@ mod bench;
 
 use bench::{
     Bench, config,
-    motor::{HZ, Random, keeps_limits, steps_of},
+    motor::{HZ, Random, keeps_limits, seeds, steps_of},
 };
 use emulator::record::Life;
 use keys::{
@@ -351,7 +351,7 @@ fn any_number_of_changes_at_one_instant_or_in_quick_succession_is_taken() {
 
 #[test]
 fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
-    for seed in 0..120 {
+    for seed in seeds(120) {
         let mut random = Random(seed);
         let speed_hz = 50 + random.of_size(14) as u32;
         let accel = 100 + random.of_size(17) as u32;
@@ -442,7 +442,7 @@ fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
 
 #[test]
 fn random_drives_with_random_changes_end_where_they_were_sent_last() {
-    for seed in 0..120 {
+    for seed in seeds(120) {
         let mut random = Random(seed ^ 0xd1ce);
         let accel_max = 200 + random.of_size(17) as u32;
         let speed_max = 50 + random.of_size(14) as u32;

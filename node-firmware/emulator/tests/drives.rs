@@ -5,7 +5,7 @@ mod bench;
 
 use bench::{
     Bench, config,
-    motor::{HZ, Random, keeps_limits, steps_of},
+    motor::{HZ, Random, keeps_limits, seeds, steps_of},
 };
 use emulator::record::Life;
 use keys::{AxisId, Command, NodeState, StopMode, command::RampShape};
@@ -207,9 +207,7 @@ fn a_direction_that_is_held_up_between_changes_is_never_turned_in_a_step() {
 
 #[test]
 fn random_drives_of_four_axes_end_where_each_was_sent_last() {
-    // More of them: `SEEDS=10000 cargo test --release -p emulator --test drives`.
-    let seeds = std::env::var("SEEDS").map_or(40, |seeds| seeds.parse().expect("a number"));
-    for seed in 0..seeds {
+    for seed in seeds(20) {
         let mut random = Random(seed ^ 0xa11);
         let mut bench = bench();
         let mut targets = [0_i64; 4];

@@ -349,7 +349,7 @@ impl Random {
 
 #[test]
 fn random_jobs_with_random_stops_keep_every_promise() {
-    for seed in 0..150 {
+    for seed in bench::motor::seeds(150) {
         println!("seed {seed}");
         let mut random = Random(seed);
         let mut config = config();

@@ -4,7 +4,7 @@ mod bench;
 
 use bench::{
     Bench, config,
-    motor::{Random, keeps_limits, steps_of},
+    motor::{Random, keeps_limits, seeds, steps_of},
 };
 use emulator::{EmulatorConfig, oracle, pins::Pin, record::Life};
 use keys::{
@@ -278,7 +278,7 @@ fn an_axis_behind_the_register_is_homed() {
 
 #[test]
 fn random_moves_holds_and_stops_keep_position_and_count() {
-    for seed in 0..80 {
+    for seed in seeds(80) {
         let mut random = Random(seed ^ 0x7075);
         let mut bench = Bench::new(shifted());
         let commands: Vec<_> = (0..3 + random.below(20))

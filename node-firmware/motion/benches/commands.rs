@@ -222,8 +222,14 @@ fn report(case: &Case) {
         halves: [0; CHANNELS],
         playing: false,
     };
+    // Corners of whole steps: of this size, at 20 kHz, they jump by 1 kHz.
+    let profile = AxisProfile {
+        junction_hz: 3_000,
+        ..AxisProfile::default()
+    };
     let config = MotionConfig {
         axis_count: case.axis_count,
+        axes: [profile; CHANNELS],
         ..MotionConfig::default()
     };
     let mut plans = Box::new(PlanMemory::new());

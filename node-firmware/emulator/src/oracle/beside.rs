@@ -71,9 +71,9 @@ fn pressed(life: &Life, limit: Option<LimitFacts>, at: u64) -> (bool, Option<u64
     };
     let edges = life.inputs.iter().filter(|edge| edge.index == limit.input);
     let before = edges.filter(|edge| edge.at_ticks <= at);
-    let last = before.clone().last();
-    let closed = before.filter(|edge| edge.level == limit.active_level);
-    let contact = closed.last().map(|edge| edge.at_ticks);
+    let last = before.clone().next_back();
+    let mut closed = before.filter(|edge| edge.level == limit.active_level);
+    let contact = closed.next_back().map(|edge| edge.at_ticks);
     // Nobody recorded what it was at boot.
     (
         last.is_none_or(|edge| edge.level == limit.active_level),

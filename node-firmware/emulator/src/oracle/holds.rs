@@ -14,6 +14,8 @@ struct Stand {
     until: u64,
     /// For how long the timeline stood, ticks, once an interval has told.
     ticks: Option<u64>,
+    /// The edges between which it stood.
+    edges: (u64, u64),
     /// It is part of the present command's time already.
     counted: bool,
 }
@@ -28,6 +30,7 @@ impl Holds {
             from: held.from_ticks,
             until: held.until_ticks.unwrap_or(u64::MAX),
             ticks: None,
+            edges: (0, u64::MAX),
             counted: false,
         };
         Self(holds.iter().map(stand).collect())
@@ -40,7 +43,11 @@ impl Holds {
             return false;
         };
         let slack = 2 * limits.stop_begin_ticks;
-        let between = |stand: &&mut Stand| before < stand.from + slack && stand.until <= at;
+        // One that was part of an earlier command is over, however near.
+        let between = |stand: &&mut Stand| {
+            let near = before < stand.from + slack && stand.until <= at;
+            near && !stand.counted && before < stand.edges.1 && at > stand.edges.0
+        };
         let mut open = None;
         let mut any = false;
         for stand in self.0.iter_mut().filter(between) {
@@ -55,6 +62,7 @@ impl Holds {
             Some(stand) => {
                 let least = (stand.until - stand.from).saturating_sub(slack);
                 stand.ticks = Some(more);
+                stand.edges = (before, at);
                 more >= least && more <= stand.until - stand.from + slack
             }
             None => any && more <= limits.skew_ticks,

@@ -1,10 +1,18 @@
 //! What any motor would demand of its pulses, and random numbers that a seed repeats.
 
+#![allow(dead_code, reason = "each test uses a part of it")]
+
 use emulator::{pins::Pin, record::Life};
 use keys::AxisId;
 
 /// Ticks of one second.
 pub(crate) const HZ: f64 = 16e6;
+
+/// Returns the seeds of a property: so many, or as many as the environment's `SEEDS` says.
+pub(crate) fn seeds(usual: u64) -> std::ops::Range<u64> {
+    let seeds = std::env::var("SEEDS").ok();
+    0..seeds.map_or(usual, |seeds| seeds.parse().expect("SEEDS is a number"))
+}
 
 /// Numbers that follow from a seed.
 pub(crate) struct Random(pub(crate) u64);
