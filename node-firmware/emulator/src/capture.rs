@@ -212,12 +212,11 @@ impl Capture {
             let time = fields.next().unwrap_or_default();
             let at_fs = fs_from_seconds(time)
                 .ok_or_else(|| wrong(line, format!("{time:?} is no time in seconds")))?;
-            for signal in 0..names.len() {
+            for (signal, name) in names.iter().enumerate() {
                 let level = match fields.next().map(str::trim) {
                     Some("0") => false,
                     Some("1") => true,
                     other => {
-                        let name = names[signal];
                         let message = format!("{name}: {other:?} is no level, 0 or 1");
                         return Err(wrong(line, message));
                     }
