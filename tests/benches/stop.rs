@@ -160,7 +160,7 @@ impl BusyFleet {
                 json!({"move": {"axis": 0, "delay_us": 1_000, "steps": steps}})
             })
             .collect();
-        let before: Vec<_> = self.nodes.iter().map(|node| rises(node)).collect();
+        let before: Vec<_> = self.nodes.iter().map(rises).collect();
         for node in &self.nodes {
             let job = json!({"commands": commands, "id": format!("{}-{}", node.name(), self.jobs)});
             self.client
