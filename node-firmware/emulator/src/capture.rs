@@ -313,9 +313,13 @@ impl Capture {
             stops: Vec::new(),
             edges: self.edges,
             inputs: Vec::new(),
+            holds: Vec::new(),
             homes: Vec::new(),
+            beside: None,
             inverted: Vec::new(),
+            external: Vec::new(),
             lidar_waits: false,
+            paced: false,
             cut: false,
             counted_steps,
             status: Status {
