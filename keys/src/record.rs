@@ -405,9 +405,15 @@ pub struct NodeRecord {
     pub rssi_dbm: Option<i8>,
     /// Its last faults, oldest first.
     pub faults: Vec<FaultRecord>,
-    /// Whether it is held, and its speed, when it has said so.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Whether it is held, and its speed, when it has said so; in JSON only while it is held or at
+    /// another speed than 100 %.
+    #[serde(default, skip_serializing_if = "is_plain")]
     pub pace: Option<PaceRecord>,
+}
+
+/// Nobody holds it or slows it down: its record is the one that every client knows.
+fn is_plain(pace: &Option<PaceRecord>) -> bool {
+    pace.is_none_or(|pace| !pace.hold && pace.percent == 100)
 }
 
 /// Writes a record as JSON.

@@ -1,60 +1,20 @@
 //! What the node's zenoh client asks of the heap, counted by the allocator: nothing for a message
 //! that it sends, the key and the value for one that it receives, and less for the whole session than
 //! zenoh-pico's documented 14 KB.
-#![expect(
-    unsafe_code,
-    reason = "a counting allocator stands in for the system's"
-)]
 
+use dhat::HeapStats;
 use pico::{Event, PutOptions, Session, SessionConfig};
-use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
-    sync::atomic::{AtomicUsize, Ordering::Relaxed},
-};
 
 /// Peak heap of a session with default batches, bytes.
 const SESSION_BYTES_MAX: usize = 14 * 1024;
 
-struct Counting;
-
-thread_local! {
-    /// Only the test's own thread counts: that of the test harness has its own business.
-    static COUNTS: Cell<bool> = const { Cell::new(false) };
-}
-
-fn counts() -> bool {
-    // A thread that ends has no such value any more.
-    COUNTS.try_with(Cell::get).unwrap_or(false)
-}
-
-static COUNT: AtomicUsize = AtomicUsize::new(0);
-static LIVE_BYTES: AtomicUsize = AtomicUsize::new(0);
-static PEAK_BYTES: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: every call is the system allocator's, with the arguments that came.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        if counts() {
-            COUNT.fetch_add(1, Relaxed);
-            let live = LIVE_BYTES.fetch_add(layout.size(), Relaxed) + layout.size();
-            PEAK_BYTES.fetch_max(live, Relaxed);
-        }
-        // SAFETY: the caller keeps the promises of this very method.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        if counts() {
-            LIVE_BYTES.fetch_sub(layout.size(), Relaxed);
-        }
-        // SAFETY: the caller keeps the promises of this very method.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
-
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: dhat::Alloc = dhat::Alloc;
+
+/// Returns how often the heap was asked since the profiler began.
+fn taken_count() -> u64 {
+    HeapStats::get().total_blocks
+}
 
 /// What a router of zenoh 1.10.2 answered: InitAck and OpenAck.
 const HANDSHAKE: [&str; 2] = [
@@ -110,7 +70,7 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_key_and_value()
     let payload = [5; 1_024];
     let mut out = Vec::with_capacity(8_192);
 
-    COUNTS.set(true);
+    let profiler = dhat::Profiler::builder().testing().build();
     let mut session = Session::new(SessionConfig::default(), 7);
     session.declare_subscriber(key).expect("room");
     let publisher = session.declare_publisher("fleet/node/left/status");
@@ -124,7 +84,7 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_key_and_value()
     out.clear();
     session.poll_transmit(0, &mut out);
 
-    let mut sent = [usize::MAX; 6];
+    let mut sent = [u64::MAX; 6];
     for (index, most) in sent.iter_mut().enumerate() {
         let payload = &payload[..[8, 64, 1_024][index % 3]];
         let options = PutOptions {
@@ -132,12 +92,12 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_key_and_value()
             ..PutOptions::default()
         };
         for round in 0..20 {
-            let begun = COUNT.load(Relaxed);
+            let begun = taken_count();
             session.put(publisher, payload, &options).expect("room");
             out.clear();
             session.poll_transmit(1, &mut out);
             if round > 0 {
-                *most = COUNT.load(Relaxed) - begun;
+                *most = taken_count() - begun;
                 assert_eq!(*most, 0, "{} bytes", payload.len());
             }
         }
@@ -145,22 +105,22 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_key_and_value()
 
     let mut received = [0; 2];
     for (index, batch) in batches.iter().enumerate() {
-        let begun = COUNT.load(Relaxed);
+        let begun = taken_count();
         session.handle_bytes(2, batch).expect("a value");
         let event = session.poll_event();
         let Some(Event::Message { sample, .. }) = event else {
             panic!("{event:?}");
         };
         assert_eq!(sample.key, key);
-        let count = COUNT.load(Relaxed) - begun;
+        let count = taken_count() - begun;
         // The first ones make room for all that follow.
         if index >= 3 {
             let most = &mut received[usize::from(index >= 150)];
             *most = count.max(*most);
         }
     }
-    let peak_bytes = PEAK_BYTES.load(Relaxed);
-    COUNTS.set(false);
+    let peak_bytes = HeapStats::get().max_bytes;
+    drop(profiler);
     println!(
         "for each message: sent {sent:?}, received {} (key in full) and {} (key by number); \
          heap of a session at most {peak_bytes} bytes beside {} of itself",

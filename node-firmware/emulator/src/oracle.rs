@@ -18,7 +18,7 @@
 //! | homing: ways, speeds, and the position of the switch | to the step |
 //! | C and D: way, rate, limits, each in its turn | steps exactly, intervals to a tick |
 //! | position = counter = counted edges | exactly |
-//! | with [`Life::paced`]: only the pins, all steps of what has ended, and the positions | exactly |
+//! | with [`Life::paced`] and ramps, lines or homing: only the pins, all steps of what has ended, and the positions | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
 //! takes any joining of lines that keeps the limits, the best one or not. Behind a path whose steps
@@ -206,6 +206,14 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
     }
 }
 
+/// Returns whether a command's edges depend on the speed that is asked for, or on a hold.
+fn is_path(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::Ramp { .. } | Command::RampTo { .. } | Command::Line { .. } | Command::Home { .. }
+    )
+}
+
 /// Judges one boot of a node.
 ///
 /// # Errors
@@ -213,7 +221,7 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
 pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violation>> {
     let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
-    if life.paced {
+    if life.paced && life.commands.iter().any(|taken| is_path(&taken.command)) {
         judge.count(life);
     } else {
         judge.read_queues(life);

@@ -129,7 +129,7 @@ pub struct Motion<'m, B: StepBackend> {
     change_due: bool,
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
-    drives: [Option<Drive>; CHANNELS],
+    drives: &'m mut [Option<Drive>; CHANNELS],
     homing: Option<Homing>,
     cd: Option<Cd>,
     laser: Laser,
@@ -199,9 +199,14 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         mut backend: B,
         config: MotionConfig,
     ) -> Self {
-        let Plans { planner, marks } = plans;
+        let Plans {
+            planner,
+            marks,
+            drives,
+        } = plans;
         planner.reset();
         marks.clear();
+        drives.fill(None);
         if let Err(error) = config.check() {
             panic!("{error}");
         }
@@ -252,7 +257,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             hold: Hold::None,
             change_due: false,
             extended_commands: 0,
-            drives: [None; CHANNELS],
+            drives,
             homing: None,
             cd,
             laser: Laser::default(),
@@ -302,6 +307,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         Plans {
             planner: self.planner,
             marks: self.marks,
+            drives: self.drives,
         }
     }
 

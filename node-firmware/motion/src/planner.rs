@@ -220,6 +220,7 @@ impl Planner {
             booked_steps: 0,
         }; CHANNELS];
         self.share = WHOLE;
+        self.ways.iter_mut().for_each(Way::reset);
     }
 
     /// An axis that rests was turned by somebody else.

@@ -129,7 +129,7 @@ pub struct NodeLink {
     /// Messages about another firmware, and answers that wait for room.
     updates: QueryableId,
     update_key: KeyText,
-    answers: Vec<(InboundQuery, UpdateReply)>,
+    answers: Vec<(InboundQuery, Option<UpdateReply>)>,
 }
 
 impl NodeLink {
@@ -228,14 +228,19 @@ impl NodeLink {
                 Event::Query {
                     query,
                     queryable,
+                    key,
                     payload,
                     ..
                 } if queryable == self.updates => {
-                    let message = postcard::from_bytes(payload.as_deref().unwrap_or_default());
-                    let reply = match message {
-                        Ok(message) => host.update(now, &message),
-                        Err(_) => UpdateReply::Refused(UpdateRefusal::Message),
-                    };
+                    // A tool that looks at everything asks for no other firmware.
+                    let is_meant = key == self.update_key.as_str();
+                    let reply = is_meant.then(|| {
+                        let bytes = payload.as_deref().unwrap_or_default();
+                        match postcard::from_bytes(bytes) {
+                            Ok(message) => host.update(now, &message),
+                            Err(_) => UpdateReply::Refused(UpdateRefusal::Message),
+                        }
+                    });
                     self.answers.push((query, reply));
                 }
                 Event::Message { subscriber, sample } => {
@@ -298,9 +303,12 @@ impl NodeLink {
         let options = options_of(NodeTopic::Update);
         while let Some((query, reply)) = self.answers.first() {
             let mut buffer = [0; UPDATE_REPLY_BYTES_MAX];
-            let bytes = postcard::to_slice(reply, &mut buffer)
-                .expect("a variant or two and a number of 32 bits");
-            if session.reply(query, &self.update_key, bytes, &options) == Err(ReplyError::Full)
+            let replied = reply.map_or(Ok(()), |reply| {
+                let bytes = postcard::to_slice(&reply, &mut buffer)
+                    .expect("a variant or two and a number of 32 bits");
+                session.reply(query, &self.update_key, bytes, &options)
+            });
+            if replied == Err(ReplyError::Full)
                 || session.reply_final(query) == Err(ReplyError::Full)
             {
                 // Twice the same answer does no harm.

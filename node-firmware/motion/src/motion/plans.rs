@@ -2,14 +2,15 @@
 //!
 //! A static holds it on a chip: made by the compiler, it never lies on a stack.
 
-use super::marks::Marks;
-use crate::planner::Planner;
+use super::{drive::Drive, marks::Marks};
+use crate::{limits::CHANNELS, planner::Planner};
 
 /// Memory of one motion, some 77 KB.
 #[derive(Debug)]
 pub struct PlanMemory {
     planner: Planner,
     marks: Marks,
+    drives: [Option<Drive>; CHANNELS],
 }
 
 impl PlanMemory {
@@ -18,6 +19,7 @@ impl PlanMemory {
         Self {
             planner: Planner::new(),
             marks: Marks::new(),
+            drives: [None; CHANNELS],
         }
     }
 
@@ -26,6 +28,7 @@ impl PlanMemory {
         Plans {
             planner: &mut self.planner,
             marks: &mut self.marks,
+            drives: &mut self.drives,
         }
     }
 }
@@ -41,4 +44,5 @@ impl Default for PlanMemory {
 pub struct Plans<'m> {
     pub(super) planner: &'m mut Planner,
     pub(super) marks: &'m mut Marks,
+    pub(super) drives: &'m mut [Option<Drive>; CHANNELS],
 }

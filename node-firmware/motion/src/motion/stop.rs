@@ -118,7 +118,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.planner.forget();
         self.hold = Hold::None;
         self.change_due = false;
-        self.drives = [None; CHANNELS];
+        self.drives.fill(None);
         self.homing = None;
         self.laser = Laser::default();
         self.rest_enables();

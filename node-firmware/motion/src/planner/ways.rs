@@ -10,7 +10,8 @@
 //! anew on that axis only.
 
 use super::{
-    CUT_MARGIN_TICKS, Goal, Made, Planner, Split, Stretch, Tail, WAY_STEPS_MAX, timing_of,
+    CUT_MARGIN_TICKS, Goal, Made, Planner, STRETCHES_MAX, Split, Stretch, Tail, WAY_STEPS_MAX,
+    timing_of,
 };
 use crate::{
     axis::Axis,
@@ -26,12 +27,20 @@ use crate::{
 
 /// Stretches of one way that are not encoded to their end: what was under way, the change, the
 /// slowing down before a turn, the way back, and as many for changes within 2 ms.
-const STRETCHES_MAX: usize = 6;
+const WAY_STRETCHES_MAX: usize = 6;
 
-/// What one axis does by itself.
+// A line and a way are never planned at the same time: drives begin at rest, and lines wait until
+// all of them have ended there. So ways lie in the memory of the lines.
+const _: () = assert!(CHANNELS * WAY_STRETCHES_MAX <= STRETCHES_MAX);
+
+/// Returns where the stretches of an axis lie among all.
+const fn room_of(index: usize) -> core::ops::Range<usize> {
+    index * WAY_STRETCHES_MAX..(index + 1) * WAY_STRETCHES_MAX
+}
+
+/// What one axis does by itself. Its stretches lie in its room among those of the planner.
 #[derive(Clone, Debug)]
 pub(super) struct Way {
-    stretches: [Option<Stretch>; STRETCHES_MAX],
     count: usize,
     writing: usize,
     steps: Option<Steps<1>>,
@@ -55,7 +64,6 @@ pub(crate) enum Left {
 
 impl Way {
     pub(super) const NONE: Self = Self {
-        stretches: [None; STRETCHES_MAX],
         count: 0,
         writing: 0,
         steps: None,
@@ -72,23 +80,36 @@ impl Way {
         self.steps = None;
     }
 
+    /// Becomes as new: time begins anew.
+    pub(super) fn reset(&mut self) {
+        self.clear();
+        self.made = Self::NONE.made;
+    }
+
     pub(super) fn is_unfinished(&self) -> bool {
         self.steps.is_some() || self.writing < self.count
     }
 
-    fn all(&self) -> impl Iterator<Item = &Stretch> {
-        self.stretches[..self.count].iter().flatten()
+    fn all<'r>(&self, room: &'r [Option<Stretch>]) -> impl Iterator<Item = &'r Stretch> + use<'r> {
+        room[..self.count].iter().flatten()
     }
 
-    fn retire(&mut self, encoded_ticks: u64) {
+    fn retire(&mut self, room: &mut [Option<Stretch>], encoded_ticks: u64) {
         let ended = |stretch: &&Stretch| stretch.end_ticks <= encoded_ticks;
-        let done = self.all().take_while(ended).count().min(self.writing);
-        self.stretches.copy_within(done..self.count, 0);
+        let done = self.all(room).take_while(ended).count().min(self.writing);
+        room.copy_within(done..self.count, 0);
         self.count -= done;
         self.writing -= done;
     }
 
-    fn write(&mut self, index: usize, axis: &mut Axis, tail: &mut Tail, timing: &[Timing]) -> bool {
+    fn write(
+        &mut self,
+        room: &[Option<Stretch>],
+        index: usize,
+        axis: &mut Axis,
+        tail: &mut Tail,
+        timing: &[Timing],
+    ) -> bool {
         loop {
             if let Some(steps) = self.steps.as_mut() {
                 if !steps.write_axis(0, axis, tail) {
@@ -99,7 +120,7 @@ impl Way {
             if self.writing == self.count {
                 return true;
             }
-            let stretch = self.stretches[self.writing].expect("below the count");
+            let stretch = room[self.writing].expect("below the count");
             let mut steps = stretch.steps_of(index, &stretch.path(), timing);
             if self.made.at > stretch.begin.ticks {
                 steps.skip(0, self.made.booked_steps - stretch.base_steps[index]);
@@ -110,15 +131,24 @@ impl Way {
     }
 
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
-    fn leave(&mut self, index: usize, cut: u64, direction: Option<Direction>) -> Left {
-        let Some(place) = self.all().position(|stretch| stretch.end_ticks > cut) else {
-            let end = self.all().last().map_or(cut, |stretch| stretch.end_ticks);
+    fn leave(
+        &mut self,
+        room: &mut [Option<Stretch>],
+        index: usize,
+        cut: u64,
+        direction: Option<Direction>,
+    ) -> Left {
+        let Some(place) = self.all(room).position(|stretch| stretch.end_ticks > cut) else {
+            let end = self
+                .all(room)
+                .last()
+                .map_or(cut, |stretch| stretch.end_ticks);
             return Left::Resting {
                 at: end.max(cut),
                 base_steps: None,
             };
         };
-        let stretch = self.stretches[place].as_mut().expect("below the count");
+        let stretch = room[place].as_mut().expect("below the count");
         let base_steps = stretch.base_steps;
         let line = stretch.line;
         let turned = direction == Some(Direction::of(line.steps[index]));
@@ -162,9 +192,9 @@ impl Way {
         })
     }
 
-    fn push(&mut self, stretch: Stretch) {
-        assert!(self.count < STRETCHES_MAX, "asked before");
-        self.stretches[self.count] = Some(stretch);
+    fn push(&mut self, room: &mut [Option<Stretch>], stretch: Stretch) {
+        assert!(self.count < room.len(), "asked before");
+        room[self.count] = Some(stretch);
         self.count += 1;
     }
 }
@@ -184,16 +214,18 @@ impl Planner {
     /// Returns whether the way of an axis can be changed now; if not, when more of it is encoded.
     pub(crate) fn can_change_way(&mut self, index: usize, axis: &Axis, started_at: u64) -> bool {
         let way = &mut self.ways[index];
-        way.retire(started_at + axis.encoded_ticks());
+        let room = &mut self.stretches[room_of(index)];
+        way.retire(room, started_at + axis.encoded_ticks());
         // It is left, slows down, and comes back.
-        way.count + 2 <= STRETCHES_MAX && !axis.has_ended()
+        way.count + 2 <= WAY_STRETCHES_MAX && !axis.has_ended()
     }
 
     /// Takes back what is not encoded of an axis and leaves its way there.
     pub(crate) fn leave_way(&mut self, index: usize, axis: &mut Axis, started_at: u64) -> Left {
         let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
         self.rewind_way(index, axis, started_at);
-        self.ways[index].leave(index, cut, self.tails[index].direction)
+        let room = &mut self.stretches[room_of(index)];
+        self.ways[index].leave(room, index, cut, self.tails[index].direction)
     }
 
     fn rewind_way(&mut self, index: usize, axis: &mut Axis, started_at: u64) {
@@ -213,13 +245,16 @@ impl Planner {
         way.steps = None;
         let at = tail.at;
         way.writing = way
-            .all()
+            .all(&self.stretches[room_of(index)])
             .take_while(|stretch| stretch.end_ticks <= at)
             .count();
     }
 
     /// The channels start; what is written begins at `begin`.
     pub(crate) fn begin_ways(&mut self, begin: u64) {
+        // No line is under way; the ways take its room.
+        self.count = 0;
+        self.writing = 0;
         for (tail, way) in self.tails.iter_mut().zip(&mut self.ways) {
             tail.at = begin;
             way.clear();
@@ -261,7 +296,7 @@ impl Planner {
             && self.heading(index) != Some(direction)
         {
             // What is planned before rests from its last step on; that is written up to `tail.at`.
-            let since = match self.ways[index].all().last() {
+            let since = match self.way(index).last() {
                 Some(before) => self.rest_before(index, before, begin),
                 None => tail.low_ticks.saturating_add(begin.saturating_sub(tail.at)),
             };
@@ -276,12 +311,20 @@ impl Planner {
         }
         stretch.begin = steps.begin();
         stretch.end_ticks = steps.end().ticks;
-        self.ways[index].push(stretch);
+        self.push_way(index, stretch);
+    }
+
+    fn way(&self, index: usize) -> impl Iterator<Item = &Stretch> {
+        self.ways[index].all(&self.stretches[room_of(index)])
+    }
+
+    fn push_way(&mut self, index: usize, stretch: Stretch) {
+        self.ways[index].push(&mut self.stretches[room_of(index)], stretch);
     }
 
     /// Which way an axis goes at the end of what is planned.
     fn heading(&self, index: usize) -> Option<Direction> {
-        let last = self.ways[index].all().last();
+        let last = self.way(index).last();
         match last {
             Some(stretch) if stretch.end_ticks > self.tails[index].at => {
                 Some(Direction::of(stretch.line.steps[index]))
@@ -332,7 +375,7 @@ impl Planner {
         let path = stretch.path();
         let steps = stretch.steps_of(index, &path, &timing);
         stretch.end_ticks = steps.end().ticks;
-        self.ways[index].push(stretch);
+        self.push_way(index, stretch);
         let made = match to_rest {
             true => sign * path.end_steps().rounded(),
             false => line.steps[index],
@@ -354,13 +397,13 @@ impl Planner {
 
     /// Returns when the last of the ways ends.
     pub(crate) fn ways_end(&self) -> Option<u64> {
-        let ends = self.ways.iter().filter_map(|way| way.all().last());
+        let ends = (0..CHANNELS).filter_map(|index| self.way(index).last());
         ends.map(|stretch| stretch.end_ticks).max()
     }
 
     /// Returns when the way of an axis ends.
     pub(crate) fn way_end(&self, index: usize) -> Option<u64> {
-        let last = self.ways[index].all().last();
+        let last = self.way(index).last();
         last.map(|stretch| stretch.end_ticks)
     }
 
@@ -375,7 +418,8 @@ impl Planner {
             }
             let tail = &mut self.tails[index];
             let way = &mut self.ways[index];
-            if way.write(index, axis, tail, timing) && tail.at < until && axis.has_room() {
+            let room = &self.stretches[room_of(index)];
+            if way.write(room, index, axis, tail, timing) && tail.at < until && axis.has_room() {
                 let ends_in_a_word = until - tail.at < WORD_TICKS_MIN && tail.edge_at.is_none();
                 if !ends_in_a_word {
                     tail.rest(axis, until);
@@ -386,8 +430,9 @@ impl Planner {
 
     /// Forgets what is encoded of the ways.
     pub(crate) fn retire_ways(&mut self, axes: &[Axis], started_at: u64) {
-        for (way, axis) in self.ways.iter_mut().zip(axes) {
-            way.retire(started_at + axis.encoded_ticks());
+        for (index, axis) in axes.iter().enumerate() {
+            let room = &mut self.stretches[room_of(index)];
+            self.ways[index].retire(room, started_at + axis.encoded_ticks());
         }
     }
 
@@ -401,7 +446,7 @@ impl Planner {
     ) -> Real {
         let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
         let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
-        let Some(stretch) = self.ways[index].all().find(under_way) else {
+        let Some(stretch) = self.way(index).find(under_way) else {
             return Real::ZERO;
         };
         let path = stretch.path();

@@ -1,3 +1,5 @@
+//! Reals against `f64`, and against their own inverses.
+
 extern crate std;
 use super::*;
 use std::format;
