@@ -11,8 +11,8 @@ use keys::{
     status::FaultCode,
 };
 use motion::{
-    Axis, CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, TICKS_PER_US,
-    Ticks, limits::CHANNELS,
+    Axis, AxisProfile, CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend,
+    TICKS_PER_US, Ticks, limits::CHANNELS,
 };
 use std::{array, sync::atomic::AtomicU32, time::Instant};
 

@@ -150,7 +150,7 @@ pub struct Motion<'m, B: StepBackend> {
     /// since; `None`: it is not homed.
     frames_steps: [Option<i64>; CHANNELS],
     soft_limits: [Option<SoftLimits>; CHANNELS],
-    inputs: Inputs,
+    inputs: &'m mut Inputs,
     switches: [Switches; CHANNELS],
     /// A limit was told, and nothing was stopped since.
     limit_told: bool,
@@ -203,6 +203,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             planner,
             marks,
             drives,
+            inputs,
         } = plans;
         planner.reset();
         marks.clear();
@@ -221,7 +222,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         let timing = config.axes.map(Timing::from);
         let lead_ticks = timing[..config.axis_count].iter().map(Timing::turn_ticks);
         let is_high = |index: usize| config.input_levels >> index & 1 != 0;
-        let inputs = Inputs::new(config.inputs, is_high, Ticks(0));
+        inputs.reset(&config.inputs, is_high, Ticks(0));
         let axes = (0..).map(AxisId);
         let is_pressed = |axis, switch| inputs.is_active(Role::Axis { axis, switch });
         let mut switches = [Switches::default(); CHANNELS];
@@ -308,6 +309,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             planner: self.planner,
             marks: self.marks,
             drives: self.drives,
+            inputs: self.inputs,
         }
     }
 

@@ -322,19 +322,29 @@ pub struct Inputs {
 }
 
 impl Inputs {
+    /// No inputs.
+    pub const NONE: Self = Self {
+        map: InputMap::EMPTY,
+        pins: [None; INPUTS_MAX],
+        latches: [[0; CHANNELS]; INPUTS_MAX],
+    };
+
     /// Takes the pins as they are. `level_of` reads one, by index.
-    pub fn new(map: InputMap, mut level_of: impl FnMut(usize) -> bool, now: Ticks) -> Self {
-        let mut pins = [None; INPUTS_MAX];
-        for (index, (pin, config)) in pins.iter_mut().zip(&map.inputs).enumerate() {
+    pub fn new(map: InputMap, level_of: impl FnMut(usize) -> bool, now: Ticks) -> Self {
+        let mut inputs = Self::NONE;
+        inputs.reset(&map, level_of, now);
+        inputs
+    }
+
+    /// Becomes what [`Inputs::new`] makes, in place.
+    pub fn reset(&mut self, map: &InputMap, mut level_of: impl FnMut(usize) -> bool, now: Ticks) {
+        self.map = *map;
+        for (index, (pin, config)) in self.pins.iter_mut().zip(&map.inputs).enumerate() {
             *pin = config.map(|config| {
                 Debounce::new(config.filter, config.active_low, level_of(index), now)
             });
         }
-        Self {
-            map,
-            pins,
-            latches: [[0; CHANNELS]; INPUTS_MAX],
-        }
+        self.latches = [[0; CHANNELS]; INPUTS_MAX];
     }
 
     /// Returns which input is what.

@@ -1,16 +1,18 @@
-//! What is planned and not yet played: the large part of a motion, and so the caller's memory.
+//! What is planned and not yet played, and how the inputs are: the large part of a motion, and so
+//! the caller's memory.
 //!
 //! A static holds it on a chip: made by the compiler, it never lies on a stack.
 
 use super::{drive::Drive, marks::Marks};
-use crate::{limits::CHANNELS, planner::Planner};
+use crate::{io::input::Inputs, limits::CHANNELS, planner::Planner};
 
-/// Memory of one motion, some 77 KB.
+/// Memory of one motion, some 80 KB.
 #[derive(Debug)]
 pub struct PlanMemory {
     planner: Planner,
     marks: Marks,
     drives: [Option<Drive>; CHANNELS],
+    inputs: Inputs,
 }
 
 impl PlanMemory {
@@ -20,6 +22,7 @@ impl PlanMemory {
             planner: Planner::new(),
             marks: Marks::new(),
             drives: [None; CHANNELS],
+            inputs: Inputs::NONE,
         }
     }
 
@@ -29,6 +32,7 @@ impl PlanMemory {
             planner: &mut self.planner,
             marks: &mut self.marks,
             drives: &mut self.drives,
+            inputs: &mut self.inputs,
         }
     }
 }
@@ -45,4 +49,5 @@ pub struct Plans<'m> {
     pub(super) planner: &'m mut Planner,
     pub(super) marks: &'m mut Marks,
     pub(super) drives: &'m mut [Option<Drive>; CHANNELS],
+    pub(super) inputs: &'m mut Inputs,
 }
