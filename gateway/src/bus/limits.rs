@@ -36,13 +36,13 @@ pub struct ClientLimits {
 }
 
 impl Default for ClientLimits {
-    /// A client that hands in a job for each of a hundred nodes ten times a second; the bytes of a
-    /// network of 256 Mbit/s; an eighth of all gets that can wait.
+    /// About as many as a gateway on two cores can answer, so that only a flood is refused; the bytes
+    /// of a network of 256 Mbit/s; half of all gets that can wait.
     fn default() -> Self {
         Self {
-            requests_per_s: 1_000,
+            requests_per_s: 5_000,
             bytes_per_s: 32 << 20,
-            gets_open: super::GETS_OPEN_MAX / 8,
+            gets_open: super::GETS_OPEN_MAX / 2,
         }
     }
 }

@@ -183,6 +183,21 @@ fn another_speed_takes_the_time_that_it_says() {
 }
 
 #[test]
+fn a_stop_that_comes_to_rest_on_the_path_is_no_hold() {
+    let mut rig = Rig::new(config());
+    let _ = rig.batch(&[line([80_000, 0]), line([100, 0])]);
+    rig.run_for(500_000);
+    let before = told(&rig);
+    rig.stop(StopMode::Decelerate);
+    for _ in 0..2_000 {
+        rig.run_for(1_000);
+        assert_eq!(told(&rig), before);
+    }
+    assert_eq!(rig.state(), NodeState::Stopped);
+    check_pulses(&rig);
+}
+
+#[test]
 fn a_stop_beats_a_hold_and_nothing_goes_on_after_the_release() {
     for mode in [StopMode::Halt, StopMode::Decelerate] {
         let mut rig = Rig::new(config());

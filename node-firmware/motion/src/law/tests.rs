@@ -1,3 +1,5 @@
+//! Laws against their closed forms.
+
 use super::*;
 
 /// The highest speed from `low` to `high` whose way is at most `way`.

@@ -6,7 +6,7 @@
 use super::{drive::Drive, marks::Marks};
 use crate::{io::input::Inputs, limits::CHANNELS, planner::Planner};
 
-/// Memory of one motion, some 80 KB.
+/// Memory of one motion, some 92 KB.
 #[derive(Debug)]
 pub struct PlanMemory {
     planner: Planner,

@@ -1,3 +1,5 @@
+//! Enable pins: delays, sharing, and what a stop leaves on.
+
 extern crate std;
 
 use super::*;

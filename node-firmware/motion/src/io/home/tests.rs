@@ -1,3 +1,5 @@
+//! Homing as a machine, without pulses.
+
 extern crate std;
 
 use super::*;

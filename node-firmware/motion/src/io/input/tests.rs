@@ -1,3 +1,5 @@
+//! Inputs that bounce.
+
 extern crate std;
 
 use super::*;

@@ -1,3 +1,5 @@
+//! C and D on a bench of their own.
+
 extern crate std;
 
 use super::*;
