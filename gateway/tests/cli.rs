@@ -1,7 +1,9 @@
 //! The program `fleet` as an operator or a script meets it.
 
-use assert_cmd::Command;
+mod program;
+
 use keys::record::JobState;
+use program::{Ran, fleet};
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{Ipv4Addr, TcpStream},
@@ -13,31 +15,8 @@ use tokio::net::TcpSocket;
 /// Far more than anything here takes; only a failure waits so long.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The same for a whole program, which waits for several things, one after the other.
-const PROGRAM_PATIENCE: Duration = Duration::from_secs(300);
-
 /// The same as a program's option.
 const PATIENT: [&str; 2] = ["--timeout", "60"];
-
-struct Ran {
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
-
-fn fleet(line: &[&str]) -> Ran {
-    let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
-        .args(line)
-        .timeout(PROGRAM_PATIENCE)
-        .output()
-        .expect("started");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    Ran {
-        code: output.status.code(),
-        out: text(output.stdout),
-        err: text(output.stderr),
-    }
-}
 
 fn verbs() -> Vec<&'static str> {
     let mut verbs = vec![

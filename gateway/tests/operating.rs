@@ -3,8 +3,11 @@
 
 #![cfg(all(unix, feature = "demo"))]
 
+mod program;
+
 use assert_cmd::Command;
 use keys::NodeId;
+use program::{Ran, fleet};
 use std::{
     io::{BufRead, BufReader, Read},
     os::unix::net::UnixDatagram,
@@ -15,26 +18,6 @@ use std::{
 
 /// Far more than anything here takes; only a failure waits so long.
 const PATIENCE: Duration = Duration::from_secs(120);
-
-struct Ran {
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
-
-fn fleet(line: &[&str]) -> Ran {
-    let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
-        .args(line)
-        .timeout(PATIENCE)
-        .output()
-        .expect("started");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    Ran {
-        code: output.status.code(),
-        out: text(output.stdout),
-        err: text(output.stderr),
-    }
-}
 
 const MACHINE: &str = "\
 [node.left]
