@@ -3,7 +3,7 @@
 use crate::request::{Language, Order, Scope, Ticket};
 use keys::{
     JobId, NodeId, Status, StopMode,
-    record::{JobError, JobRecord, NodeRecord, Receipt},
+    record::{JobError, JobRecord, LinkRecord, NodeRecord, Receipt},
 };
 use serde::{Deserialize, Serialize};
 
@@ -117,6 +117,8 @@ pub enum Message {
         /// Which; all if `None`.
         alarm: Option<u64>,
     },
+    /// How long messages travel between the gateway and each node.
+    Travels(Vec<LinkRecord>),
     /// What became of a request.
     Answer {
         /// The request.

@@ -148,6 +148,13 @@ impl Model {
             }
             Message::Answer { ticket, answer } => self.answer(at, ticket, answer),
             Message::File { ticket, outcome } => self.file = Some((ticket, outcome)),
+            Message::Travels(links) => {
+                for link in links {
+                    if let Some(node) = self.nodes.get_mut(&link.node) {
+                        node.travels(at, link);
+                    }
+                }
+            }
             Message::Acknowledged { alarm } => self.alarms.acknowledge(at, alarm),
         }
     }

@@ -3,6 +3,12 @@
 use crate::message::Moment;
 use keys::{FleetMicros, record::ClockRecord};
 
+/// Returns the words for the shortest and the longest round trip, µs.
+pub fn travel([shortest_us, longest_us]: [f64; 2]) -> String {
+    let (shortest_ms, longest_ms) = (shortest_us / 1e3, longest_us / 1e3);
+    format!("round trip {shortest_ms:.2} to {longest_ms:.2} ms")
+}
+
 /// Returns `2026-11-21 03:00:00.123` of `2026-11-21T03:00:00.123456Z`.
 pub fn date_and_time(at: FleetMicros) -> String {
     let text = at.to_string();

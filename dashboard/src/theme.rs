@@ -195,6 +195,11 @@ pub fn stop_button(text: &str) -> egui::Button<'static> {
     egui::Button::new(text).fill(STOP_FILL)
 }
 
+/// Returns the height that a small window has below STOP ALL, points.
+pub fn window_room(ctx: &egui::Context) -> f32 {
+    (ctx.content_rect().height() - STOP_ALL_BOTTOM).max(0.0)
+}
+
 /// A small window over the panels. Wherever it is moved, it never covers STOP ALL.
 pub fn window<'a>(ctx: &egui::Context, title: &'a str) -> egui::Window<'a> {
     let all = ctx.content_rect();

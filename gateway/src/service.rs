@@ -497,6 +497,7 @@ fn reply_of(event: &Event) -> Option<ReplyTo> {
         | Event::Pace { reply, .. } => *reply,
         Event::GetJobs { reply, .. }
         | Event::GetNodes { reply, .. }
+        | Event::GetLinks { reply, .. }
         | Event::ManageNodes { reply, .. }
         | Event::ManageJob { reply, .. } => Some(*reply),
         Event::SubmitWith { submit, .. } => reply_of(submit),

@@ -312,6 +312,8 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
     let alice = plant.session("alice").await;
     let bob = plant.session("bob").await;
     until(&bob, "left", |record| record.alive).await;
+    let travels = ask(&bob, "fleet/manage/link/left", None).await;
+    assert!(travels.iter().any(Result::is_ok), "{travels:?}");
     put(&bob, "fleet/node/left/job", job("bobs").to_string()).await;
     put(&bob, "fleet/group/g/job", "{}").await;
     put(&bob, "fleet/node/left/speed", "{\"percent\":50}").await;

@@ -347,6 +347,19 @@ pub struct ClockRecord {
     pub drift_ppm: f64,
 }
 
+/// How long messages travel between the gateway and a node, there and back, on
+/// `PREFIX/manage/link/NODE`. As measured by the clock's probes of the last minutes; `None` until the
+/// clock is known.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkRecord {
+    /// The node.
+    pub node: NodeId,
+    /// The shortest, µs.
+    pub rtt_us_min: Option<f64>,
+    /// The longest, µs.
+    pub rtt_us_max: Option<f64>,
+}
+
 /// A fault, as clients see it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FaultRecord {

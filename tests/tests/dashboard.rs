@@ -108,6 +108,10 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
         state(model, "first") == Some(JobState::Succeeded)
     });
     let left = NodeId::new("left").expect("a name");
+    bench.operator.until("the time of its messages", |model| {
+        let travelled = model.node(&left).and_then(|node| node.travelled().last());
+        travelled.is_some_and(|known| known.rtt_us[0] > 0.0 && known.rtt_us[0] <= known.rtt_us[1])
+    });
     bench.operator.until("the node's own word", |model| {
         let node = model.node(&left).expect("known");
         node.positions_steps().first() == Some(&500)

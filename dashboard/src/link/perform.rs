@@ -7,7 +7,7 @@ use crate::{
 };
 use keys::{
     JobId, Keys, NodeId, NodeTopic, Stop, StopMode, Topic,
-    record::{ErrorCode, ErrorReply, JobError, Receipt},
+    record::{ErrorCode, ErrorReply, JobError, LinkRecord, Receipt},
 };
 use std::{
     collections::BTreeSet,
@@ -94,7 +94,25 @@ impl Performer {
             if present && !was {
                 performer.refresh();
             }
+            if present {
+                performer.ask_travels().await;
+            }
         });
+    }
+
+    /// Asks how long messages travel to each node. A gateway that does not know the question does not
+    /// answer.
+    async fn ask_travels(&self) {
+        let selector = format!("{}/manage/link/*", self.keys.prefix());
+        let replies = self.get(&selector, None).await.unwrap_or_default();
+        let links: Vec<LinkRecord> = replies
+            .into_iter()
+            .flatten()
+            .filter_map(|sample| serde_json::from_slice(&sample.payload().to_bytes()).ok())
+            .collect();
+        if !links.is_empty() {
+            self.inbox.push(Message::Travels(links));
+        }
     }
 
     /// Begins to ask for all node records and the newest job records.

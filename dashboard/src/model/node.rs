@@ -8,7 +8,7 @@ use super::{
 use crate::message::Moment;
 use keys::{
     AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Status,
-    record::{ClockRecord, NodeRecord, NodeWord},
+    record::{ClockRecord, LinkRecord, NodeRecord, NodeWord},
 };
 
 /// Whether a node is there.
@@ -50,6 +50,15 @@ pub struct Sample {
     pub laser_percent: u8,
 }
 
+/// How long messages travelled to a node at one moment, for plots.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TravelSample {
+    /// When it was heard here.
+    pub at: Moment,
+    /// Shortest and longest time there and back in the last minutes, µs.
+    pub rtt_us: [f64; 2],
+}
+
 /// An estimate of the node's clock at one moment, for plots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
@@ -72,6 +81,7 @@ pub struct Node {
     status: Option<(Moment, Status)>,
     samples: Ring<Sample, SAMPLES_MAX>,
     clocks: Ring<ClockSample, CLOCKS_MAX>,
+    travels: Ring<TravelSample, CLOCKS_MAX>,
     history: History,
 }
 
@@ -87,6 +97,7 @@ impl Node {
             status: None,
             samples: Ring::default(),
             clocks: Ring::default(),
+            travels: Ring::default(),
             history: History::default(),
         }
     }
@@ -120,6 +131,14 @@ impl Node {
             self.lost_at = Some(at);
         }
         self.look(at);
+    }
+
+    /// Takes how long messages travel to it, if that is known.
+    pub(super) fn travels(&mut self, at: Moment, link: LinkRecord) {
+        if let (Some(shortest_us), Some(longest_us)) = (link.rtt_us_min, link.rtt_us_max) {
+            let rtt_us = [shortest_us, longest_us];
+            self.travels.push(TravelSample { at, rtt_us });
+        }
     }
 
     pub(super) fn status(&mut self, at: Moment, status: Status) {
@@ -332,5 +351,10 @@ impl Node {
     /// Returns what was known about its clock in the last minutes, oldest first.
     pub fn clocks(&self) -> &Ring<ClockSample, CLOCKS_MAX> {
         &self.clocks
+    }
+
+    /// Returns how long messages travelled to it in the last minutes, oldest first.
+    pub fn travelled(&self) -> &Ring<TravelSample, CLOCKS_MAX> {
+        &self.travels
     }
 }

@@ -1,4 +1,4 @@
-//! A file to be opened, chosen from the folders of this computer. In this window, because it then
+//! A file to be opened or written, chosen from the folders of this computer. In this window, because it then
 //! works with keyboard and screen reader wherever the window itself does; the desktop's own dialog
 //! needs a portal on the session's bus, which a panel computer or a remote display does not have. A
 //! file can also be typed, or dropped onto the window.
@@ -21,6 +21,10 @@ pub enum Purpose {
     Capture,
     /// A recorded session.
     Recording,
+    /// A new recording of the session.
+    NewRecording,
+    /// A new file for the history of jobs.
+    NewHistory,
 }
 
 impl Purpose {
@@ -29,7 +33,8 @@ impl Purpose {
         match self {
             Self::Job => &["json", "lua"],
             Self::Capture => &["vcd", "csv"],
-            Self::Recording => &["jsonl"],
+            Self::Recording | Self::NewRecording => &["jsonl"],
+            Self::NewHistory => &["csv", "json"],
         }
     }
 
@@ -38,6 +43,18 @@ impl Purpose {
             Self::Job => "Open a job (.json, .lua)",
             Self::Capture => "Open a capture (.vcd, .csv)",
             Self::Recording => "Open a recording (.jsonl)",
+            Self::NewRecording => "Record into a new file (.jsonl)",
+            Self::NewHistory => "Export into a new file (.csv, .json)",
+        }
+    }
+
+    /// Returns the name that a new file has until the operator gives another one; `None`: a file is
+    /// opened.
+    const fn new_name(self) -> Option<&'static str> {
+        match self {
+            Self::Job | Self::Capture | Self::Recording => None,
+            Self::NewRecording => Some("session.jsonl"),
+            Self::NewHistory => Some("jobs.csv"),
         }
     }
 
@@ -69,12 +86,21 @@ pub struct ChooserView {
     /// The folder that is to be read.
     pub wanted: Option<PathBuf>,
     listing: Option<Result<Listing, String>>,
+    /// The name of a new file, as typed.
+    name: String,
 }
 
 impl ChooserView {
     /// Begins in the folder of this file, or where the program was started.
     pub fn open(&mut self, purpose: Purpose, file: &str) {
-        let folder = Path::new(file.trim()).parent();
+        let file = Path::new(file.trim());
+        let name = file.file_name().map(|name| name.to_string_lossy());
+        let name = name.filter(|_| purpose.new_name().is_some());
+        self.name = name.map_or(
+            purpose.new_name().unwrap_or_default().to_owned(),
+            Into::into,
+        );
+        let folder = file.parent();
         let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
         self.purpose = Some(purpose);
         self.go(folder.unwrap_or(Path::new(".")).to_owned());
@@ -117,7 +143,22 @@ pub fn chooser_ui(ui: &Ui, view: &mut View, requests: &mut Requests) {
                     view.chooser.go(PathBuf::from("."));
                 }
             }
-            Some(Ok(listing)) => chosen = listing_ui(ui, purpose, &listing, view),
+            Some(Ok(listing)) => {
+                if purpose.new_name().is_some() {
+                    chosen = new_file_ui(ui, &listing, view);
+                    ui.separator();
+                }
+                let clicked = listing_ui(ui, purpose, &listing, view);
+                match (clicked, purpose.new_name()) {
+                    // A file that is there is never written over; its name is a beginning.
+                    (Some(there), Some(_)) => {
+                        let name = there.file_name().unwrap_or_default();
+                        view.chooser.name = name.to_string_lossy().into_owned();
+                    }
+                    (Some(there), None) => chosen = Some(there),
+                    (None, _) => {}
+                }
+            }
         });
     if let Some(path) = chosen {
         let path = path.display().to_string();
@@ -134,12 +175,39 @@ pub fn chooser_ui(ui: &Ui, view: &mut View, requests: &mut Requests) {
                 view.recording.open_path.clone_from(&path);
                 view.recording.wish = Some(Wish::Open(path));
             }
+            Purpose::NewRecording => view.recording.record_path = path,
+            Purpose::NewHistory => view.jobs.export = path,
         }
         open = false;
     }
     if !open {
         view.chooser.close();
     }
+}
+
+/// Shows a field for a new file's name and returns the file when it is taken.
+fn new_file_ui(ui: &mut Ui, listing: &Listing, view: &mut View) -> Option<PathBuf> {
+    let mut taken = None;
+    ui.horizontal(|ui| {
+        let label = ui.label("Name");
+        let edit = egui::TextEdit::singleline(&mut view.chooser.name).desired_width(200.0);
+        ui.add(edit).labelled_by(label.id);
+        let name = view.chooser.name.trim();
+        let there = listing.files.iter().any(|file| file == name)
+            || listing.folders.iter().any(|folder| folder == name);
+        let fits = !name.is_empty() && !there && !name.contains(['/', '\\']);
+        if ui
+            .add_enabled(fits, egui::Button::new("Take this name"))
+            .clicked()
+        {
+            taken = Some(listing.folder.join(name));
+        }
+        if there {
+            let words = "✖ it is there already";
+            ui.label(theme::toned(ui, Tone::Bad, words));
+        }
+    });
+    taken
 }
 
 /// Shows what is in a folder and returns the file that was chosen.

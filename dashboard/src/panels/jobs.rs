@@ -1,6 +1,6 @@
 //! Job records, newest first, and one of them in detail.
 
-use super::table::table_ui;
+use super::{chooser::Purpose, table::table_ui};
 use crate::{
     message::FileOutcome,
     model::{Model, select::Pattern},
@@ -10,7 +10,7 @@ use crate::{
     theme::{self, Tone},
     view::{Tab, View},
 };
-use egui::{Grid, Panel, RichText, ScrollArea, TextEdit, Ui};
+use egui::{Grid, Panel, RichText, Role, ScrollArea, TextEdit, Ui};
 use keys::{
     JobId,
     record::{JobRecord, JobState},
@@ -105,7 +105,7 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             text::count(model.jobs().len(), "job")
         );
         ui.label(theme::toned(ui, Tone::Quiet, words));
-        export_ui(ui, model, &mut view.jobs, &rows, requests);
+        export_ui(ui, model, view, &rows, requests);
     });
     if let (false, Err(why)) = (
         view.jobs.node.is_empty(),
@@ -152,15 +152,26 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
 fn export_ui(
     ui: &mut Ui,
     model: &Model,
-    view: &mut JobsView,
+    view: &mut View,
     rows: &[&JobRecord],
     requests: &mut Requests,
 ) {
+    let View {
+        jobs: view,
+        chooser,
+        ..
+    } = view;
     let label = ui.label("Export to");
     let edit = TextEdit::singleline(&mut view.export)
         .hint_text("a new file")
-        .desired_width(120.0);
+        .desired_width(100.0);
     ui.add(edit).labelled_by(label.id);
+    // A short one: everything stays in one row.
+    let choose = ui.button("…");
+    theme::named(&choose, Role::Button, "Choose where to export");
+    if choose.clicked() {
+        chooser.open(Purpose::NewHistory, &view.export);
+    }
     let path = view.export.trim();
     let possible = !path.is_empty() && !rows.is_empty();
     let mut write = |text: String| {
@@ -169,12 +180,13 @@ fn export_ui(
     };
     let button = |ui: &mut Ui, name: &str| {
         let button = ui.add_enabled(possible, egui::Button::new(name));
+        theme::named(&button, Role::Button, &format!("Export {name}"));
         button.clicked()
     };
-    if button(ui, "Export CSV") {
+    if button(ui, "CSV") {
         write(records::csv(rows));
     }
-    if button(ui, "Export JSON") {
+    if button(ui, "JSON") {
         write(records::json(rows));
     }
     match view.exported.and_then(|ticket| model.file(ticket)) {

@@ -2,7 +2,10 @@
 
 use super::node::{NodeView, scrolled};
 use crate::{
-    model::{Model, node::Node, node::Sample},
+    model::{
+        Model,
+        node::{Node, Sample, TravelSample},
+    },
     text,
     theme::{self, Tone},
 };
@@ -133,8 +136,16 @@ pub(super) fn clock_ui(ui: &mut Ui, model: &Model, node: &Node, view: &mut NodeV
     };
     let drift = format!("{}, {:+.1} ppm", text::clock(&clock), clock.drift_ppm);
     ui.label(drift);
-    ui.label(theme::toned(ui, Tone::Quiet, "round trip time: not told"));
     let now = model.now();
+    let travelled = node.travelled();
+    ui.label(match travelled.last() {
+        None => theme::toned(ui, Tone::Quiet, "round trip time: not told"),
+        Some(last) => text::travel(last.rtt_us).into(),
+    });
+    let travels = |which: usize| -> Series {
+        let point = |known: &TravelSample| [-now.since_s(known.at), known.rtt_us[which] / 1e3];
+        travelled.iter().map(point).collect()
+    };
     let series = |value: &dyn Fn(keys::record::ClockRecord) -> f64| -> Series {
         let clocks = node.clocks().iter();
         let points = clocks.map(|known| [-now.since_s(known.at), value(known.clock)]);
@@ -155,6 +166,10 @@ pub(super) fn clock_ui(ui: &mut Ui, model: &Model, node: &Node, view: &mut NodeV
         ("− error".to_owned(), quiet, since(-1.0)),
     ];
     let errors = vec![("error".to_owned(), plain, series(&|clock| clock.error_us))];
+    let travels = vec![
+        ("shortest".to_owned(), plain, travels(0)),
+        ("longest".to_owned(), quiet, travels(1)),
+    ];
     let words = match view.cursor_s {
         Some(cursor_s) => {
             let distance = |at_s: f64| (at_s - cursor_s).abs();
@@ -171,11 +186,12 @@ pub(super) fn clock_ui(ui: &mut Ui, model: &Model, node: &Node, view: &mut NodeV
     };
     ui.label(words);
     view.cursor_s = None;
-    let height = height_of_one(ui, 2);
+    let height = height_of_one(ui, 3);
     let title = format!("Offset, µs from {first_us:+.0} µs");
     scrolled(ui, |ui| {
         over_time_ui(ui, node, &title, height, offsets, view);
         over_time_ui(ui, node, "Error, ± µs", height, errors, view);
+        over_time_ui(ui, node, "Round trip, ms", height, travels, view);
     });
 }
 

@@ -44,6 +44,9 @@ pub fn recording_ui(ui: &mut Ui, session: &Session, view: &mut View) {
                 view.wish = Some(Wish::EndRecord);
             }
         } else {
+            if ui.button("Choose where…").clicked() {
+                chooser.open(Purpose::NewRecording, &view.record_path);
+            }
             let begin = ui.add_enabled(edit, Button::new("⏺ Record"));
             if begin.clicked() {
                 view.wish = Some(Wish::Record(view.record_path.trim().to_owned()));

@@ -2,13 +2,14 @@
 
 use crate::{
     fixture::fleet,
-    screen::{button, do_files, picture_of, show, shows},
+    screen::{Window, button, do_files, picture_of, show, shows},
 };
 use dashboard::{
     panels::chooser::{Listing, Purpose},
     view::Tab,
 };
-use egui::{Key, Modifiers};
+use egui::{Key, Modifiers, Role};
+use egui_kittest::kittest::Queryable as _;
 
 #[test]
 fn a_job_is_found_two_folders_deep_and_opened() {
@@ -38,6 +39,53 @@ fn a_job_is_found_two_folders_deep_and_opened() {
     assert_eq!(composer.text, "{\"commands\":[]}");
     assert!(composer.file.ends_with("square.json"));
     assert!(!shows(&window, "Folder above"), "it is closed");
+}
+
+#[test]
+fn a_new_file_gets_a_name_that_is_not_there_yet() {
+    let home = tempfile::tempdir().expect("a folder");
+    std::fs::write(home.path().join("monday.jsonl"), "").expect("written");
+    let mut dashboard = fleet();
+    dashboard.view.tab = Tab::Recording;
+    dashboard.view.recording.record_path = home.path().join("monday.jsonl").display().to_string();
+    let mut window = show(dashboard);
+    button(&mut window, "Choose where…");
+    do_files(&mut window);
+    assert!(shows(&window, "it is there already"));
+    let take = |window: &mut Window| button(window, "Take this name");
+    take(&mut window);
+    assert!(shows(&window, "Folder above"), "nothing was taken");
+    window
+        .get_by_role_and_label(Role::TextInput, "Name")
+        .click();
+    window.run_steps(2);
+    window.key_press_modifiers(Modifiers::COMMAND, Key::A);
+    window.run_steps(2);
+    window
+        .get_by_role_and_label(Role::TextInput, "Name")
+        .type_text("tuesday.jsonl");
+    window.run_steps(2);
+    take(&mut window);
+    let path = &window.state().view.recording.record_path;
+    assert_eq!(
+        path,
+        &home.path().join("tuesday.jsonl").display().to_string()
+    );
+    assert!(!shows(&window, "Folder above"), "it is closed");
+}
+
+#[test]
+fn the_history_is_exported_into_a_file_that_was_chosen() {
+    let home = tempfile::tempdir().expect("a folder");
+    let mut dashboard = fleet();
+    dashboard.view.jobs.export = home.path().join("week.csv").display().to_string();
+    let mut window = show(dashboard);
+    button(&mut window, "Choose where to export");
+    do_files(&mut window);
+    button(&mut window, "Take this name");
+    button(&mut window, "Export CSV");
+    do_files(&mut window);
+    assert!(home.path().join("week.csv").is_file());
 }
 
 #[test]

@@ -10,7 +10,7 @@ use dashboard::{
 use egui::Role;
 use keys::{
     NodeState,
-    record::{ClockRecord, FaultRecord, NodeWord},
+    record::{ClockRecord, FaultRecord, LinkRecord, NodeWord},
 };
 
 const SIZE: [f32; 2] = [1_000.0, 780.0];
@@ -49,6 +49,15 @@ fn circle() -> Dashboard {
             }];
             tell(&mut dashboard, at, Message::Node(Box::new(told)));
         }
+    }
+    for second in 0..=10_u64 {
+        let link = LinkRecord {
+            node: id,
+            rtt_us_min: Some(400.0),
+            rtt_us_max: Some(1_000.0 + 100.0 * second as f64),
+        };
+        let at = at_ms(second * 1_000);
+        tell(&mut dashboard, at, Message::Travels(vec![link]));
     }
     for number in 0..3 {
         for name in ["laser-1", "other"] {
@@ -107,7 +116,7 @@ fn the_path_shows_any_two_axes() {
 #[test]
 fn the_clock_tells_its_error_at_the_cursor() {
     let mut window = page(Page::Clock);
-    assert!(shows(&window, "round trip time: not told"));
+    assert!(shows(&window, "round trip 0.40 to 2.00 ms"));
     point_at(&mut window, Role::Image, "Plot of Error");
     assert!(shows(&window, "s ago: +"));
 }

@@ -128,7 +128,7 @@ fn no_window_covers_stop_all() {
         |dashboard| dashboard.view.stop.releasing = Some(Scope::All),
         |dashboard| dashboard.view.chooser.open(Purpose::Job, ""),
     ];
-    for scale in [1.0, 1.25, 1.5] {
+    for scale in [1.0, 1.25, 1.5, 2.0] {
         for open in opened {
             let mut dashboard = fleet();
             open(&mut dashboard);
@@ -186,9 +186,18 @@ fn the_keyboard_alone_comes_to_all_that_can_be_clicked() {
     }
 }
 
+fn picture_at(name: &str, scale: f32) {
+    picture(name, |theme| {
+        show_at(fleet(), theme, PIXELS.map(|pixels| pixels / scale), scale)
+    });
+}
+
+#[test]
+fn picture_at_150_percent() {
+    picture_at("scale_150", 1.5);
+}
+
 #[test]
 fn picture_at_200_percent() {
-    picture("scale_200", |theme| {
-        show_at(fleet(), theme, PIXELS.map(|pixels| pixels / 2.0), 2.0)
-    });
+    picture_at("scale_200", 2.0);
 }

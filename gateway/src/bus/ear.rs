@@ -140,6 +140,8 @@ pub(super) enum Door {
     ManageNode,
     /// `PREFIX/manage/job/*`
     ManageJob,
+    /// `PREFIX/manage/link/*`
+    Links,
 }
 
 impl Door {
@@ -150,7 +152,7 @@ impl Door {
             Self::GroupJob => keys.every_group_job(),
             Self::Job => keys.every_job(),
             Self::JobCancel => keys.every_job_cancel(),
-            Self::LabelJob | Self::ManageNode | Self::ManageJob => {
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links => {
                 let (before, behind) = self.around_name();
                 return format!("{}{before}*{behind}", keys.prefix());
             }
@@ -163,13 +165,17 @@ impl Door {
         match self {
             Self::LabelJob => ("/manage/label/", "/job"),
             Self::ManageNode => ("/manage/node/", ""),
+            Self::Links => ("/manage/link/", ""),
             _ => ("/manage/job/", ""),
         }
     }
 
     /// Returns the name chunk of a key of this kind; `None`: it only includes such keys.
     fn name<'k>(self, keys: &Keys, key: &'k str) -> Option<&'k str> {
-        if matches!(self, Self::LabelJob | Self::ManageNode | Self::ManageJob) {
+        if matches!(
+            self,
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links
+        ) {
             let (before, behind) = self.around_name();
             let name = key.strip_prefix(keys.prefix())?.strip_prefix(before)?;
             let name = name.strip_suffix(behind)?;
@@ -243,7 +249,7 @@ impl Ear {
                 Admission::Taken => {}
                 Admission::Refused { tell } => return self.refuse_put(pattern, tell),
             },
-            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob => {}
+            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob | Door::Links => {}
         }
         let job = |to| {
             let payload = Payload(sample.payload().clone());
@@ -284,7 +290,7 @@ impl Ear {
                 let at = (topic == NodeTopic::Clock).then_some(at);
                 self.inbox.event(Arrived { event, at })
             }
-            Door::Job | Door::ManageNode | Door::ManageJob => Ok(()),
+            Door::Job | Door::ManageNode | Door::ManageJob | Door::Links => Ok(()),
         };
         // Full: counted by the inbox, and a put has no answer.
         let _ = taken;
@@ -335,6 +341,7 @@ impl Ear {
                 request: OrderWishes::from_json(&asked(query)),
                 reply: to,
             }),
+            Door::Links => self.inbox.event(Event::GetLinks { pattern, reply: to }),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
             Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
             Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {

@@ -275,6 +275,7 @@ impl Bus {
             (&self.main, Door::LabelJob),
             (&self.main, Door::ManageNode),
             (&self.main, Door::ManageJob),
+            (&self.main, Door::Links),
         ] {
             let ear = ear(door);
             let queryable = session

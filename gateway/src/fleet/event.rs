@@ -117,6 +117,13 @@ pub enum Event {
         /// Who waits.
         reply: ReplyTo,
     },
+    /// A get on `PREFIX/manage/link/PATTERN`.
+    GetLinks {
+        /// A node's name, or a wild chunk.
+        pattern: String,
+        /// Who waits.
+        reply: ReplyTo,
+    },
     /// A node's liveliness token came (`true`) or went.
     Alive {
         /// The node.

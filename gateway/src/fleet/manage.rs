@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | `PREFIX/manage/node/NODE`, also wild | [`NodeWishes`] in JSON, or nothing | [`Arrangement`] of each node |
 //! | `PREFIX/manage/job/JOB` | [`OrderWishes`] in JSON, or nothing | its [`Story`] |
+//! | `PREFIX/manage/link/NODE`, also wild | nothing | [`LinkRecord`](keys::record::LinkRecord) of each node |
 //! | `PREFIX/manage/label/LABEL/job`, also put | a job | as on a wild key: a receipt for each node that has the label and is alive |
 //!
 //! Beside the job itself an attachment in JSON, [`JobWishes`], says how important it is and when it may
@@ -398,6 +399,19 @@ impl Fleet {
             key: Some(format!("{}/manage/job/{id}", self.config.keys.prefix())),
             payload: to_json(&story),
         })
+    }
+
+    /// Answers how long messages travel to each node.
+    pub(super) fn get_links(&self, pattern: &str, to: ReplyTo, effects: &mut Vec<Effect>) {
+        let prefix = self.config.keys.prefix();
+        for id in self.matching(pattern) {
+            effects.push(Effect::Reply {
+                to,
+                key: Some(format!("{prefix}/manage/link/{id}")),
+                payload: to_json(&self.nodes[&id].link_record(self.now)),
+            });
+        }
+        effects.push(Effect::ReplyEnd { to });
     }
 
     fn arrangement_reply(&self, id: &NodeId, key: String, to: ReplyTo) -> Effect {

@@ -224,6 +224,7 @@ impl Fleet {
                 reply,
             } => self.get_jobs(&pattern, &parameters, reply, effects),
             Event::GetNodes { pattern, reply } => self.get_nodes(&pattern, reply, effects),
+            Event::GetLinks { pattern, reply } => self.get_links(&pattern, reply, effects),
             Event::Alive { node, alive } => {
                 // A token alone tells nothing; the node's status follows it.
                 if !alive {

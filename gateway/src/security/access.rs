@@ -89,6 +89,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     rules.add("alive", &["egress"], &["liveliness_token"], alive);
     let mut read = each(&[NodeTopic::State]);
     read.extend(jobs);
+    read.push(format!("{prefix}/manage/link/*"));
     rules.add("read", &["ingress"], &["query"], read.clone());
     rules.add("answers", &["egress"], &["reply"], read);
     rules.add("stop", &["ingress"], &["put"], each(&[NodeTopic::Stop]));

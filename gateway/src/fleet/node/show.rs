@@ -5,7 +5,10 @@ use super::{Node, Turn};
 use crate::fleet::event::Lane;
 use keys::{
     FleetMicros, LocalMicros, NodeTopic,
-    record::{ClockRecord, FaultRecord, NodeRecord, NodeWord, QueueRecord, StoppedRecord, to_json},
+    record::{
+        ClockRecord, FaultRecord, LinkRecord, NodeRecord, NodeWord, QueueRecord, StoppedRecord,
+        to_json,
+    },
 };
 
 /// Time between two records of a node of which only clock and uptime change, µs.
@@ -97,6 +100,15 @@ impl Node {
             error_us: estimate.error_us,
             drift_ppm: estimate.drift_ppm,
         })
+    }
+
+    /// Returns how long messages travel to it and back.
+    pub fn link_record(&self, now: FleetMicros) -> LinkRecord {
+        LinkRecord {
+            node: self.id,
+            rtt_us_min: self.clock.estimate(now).map(|known| known.rtt_us_min),
+            rtt_us_max: self.clock.rtt_us_max(),
+        }
     }
 
     /// UTC of a stamp by the node: by its clock's estimate, or else by how long ago it was when
