@@ -1,7 +1,19 @@
 //! Numbers and times as an operator reads them.
 
 use crate::message::Moment;
-use keys::{FleetMicros, record::ClockRecord};
+use keys::{
+    FleetMicros,
+    record::{ClockRecord, PaceRecord},
+};
+
+/// Returns the words for a hold, or a speed that is not the usual one: `held, at 50 %`.
+pub fn pace(pace: PaceRecord) -> String {
+    match (pace.hold, pace.percent) {
+        (true, 100) => "held".to_owned(),
+        (true, percent) => format!("held, at {percent} %"),
+        (false, percent) => format!("at {percent} %"),
+    }
+}
 
 /// Returns the words for the shortest and the longest round trip, µs.
 pub fn travel([shortest_us, longest_us]: [f64; 2]) -> String {

@@ -13,7 +13,8 @@ mod operator;
 use dashboard::{
     message::Answer,
     model::{Model, effort::Sending, node::Concern},
-    request::{Request, Scope},
+    request::{Order, Request, Scope},
+    text,
 };
 use emulator::{EmulatedHandle, EmulatorConfig};
 use gateway::{config::GatewayConfig, service::Service};
@@ -134,6 +135,26 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
     bench
         .operator
         .until("all run", |model| all(model, NodeWord::Running));
+    for (order, pace, word) in [
+        (Order::Hold, Some("held"), NodeWord::Paused),
+        (Order::Speed(50), Some("held, at 50 %"), NodeWord::Paused),
+        (Order::Resume, Some("at 50 %"), NodeWord::Running),
+        (Order::Speed(100), None, NodeWord::Running),
+    ] {
+        let ticket = bench.operator.ask(Request::Order { node: left, order });
+        bench.operator.until(&order.to_string(), |model| {
+            let ordered = model.orders().of(&left).expect("asked");
+            let taken = Some(Answer::Done {
+                count: 1,
+                refused: Vec::new(),
+            });
+            let node = model.node(&left).expect("known");
+            ordered.ticket == ticket
+                && ordered.answer == taken
+                && node.pace().map(text::pace).as_deref() == pace
+                && node.word() == word
+        });
+    }
     let (scope, mode) = (Scope::All, StopMode::Halt);
     let ticket = bench.operator.ask(Request::Stop { scope, mode });
     bench.operator.until("three confirmations", |model| {

@@ -8,7 +8,7 @@ use super::{
 use crate::message::Moment;
 use keys::{
     AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Status,
-    record::{ClockRecord, LinkRecord, NodeRecord, NodeWord},
+    record::{ClockRecord, LinkRecord, NodeRecord, NodeWord, PaceRecord},
 };
 
 /// Whether a node is there.
@@ -302,6 +302,12 @@ impl Node {
     /// Returns what the gateway knows about its clock.
     pub fn clock(&self) -> Option<ClockRecord> {
         self.latest_record().and_then(|record| record.clock)
+    }
+
+    /// Returns whether it is held and how fast it goes, unless that is as always.
+    pub fn pace(&self) -> Option<PaceRecord> {
+        let pace = self.latest_record()?.pace?;
+        (self.is_there() && (pace.hold || pace.percent != 100)).then_some(pace)
     }
 
     /// Returns its signal strength, dBm.

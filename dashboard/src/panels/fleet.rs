@@ -413,17 +413,23 @@ fn cell_text_ui(ui: &mut Ui, model: &Model, node: &Node, column: Column) {
     ui.add(egui::Label::new(text).truncate());
 }
 
+/// Returns the job, how much of it is done, and whether it is held or at another speed.
+fn job_words(model: &Model, node: &Node) -> String {
+    let mut words = Vec::new();
+    if let Some(job) = node.job() {
+        words.push(job.to_string());
+        let progress = model.jobs().get(&job).map(|record| record.progress);
+        if let Some(progress) = progress.filter(|progress| progress.total > 0) {
+            words.push(format!("{}/{}", progress.done, progress.total));
+        }
+    }
+    words.extend(node.pace().map(text::pace));
+    words.join(" ")
+}
+
 fn words(model: &Model, node: &Node, column: Column) -> String {
     match column {
-        Column::Job => node.job().map_or(String::new(), |job| {
-            let progress = model.jobs().get(&job).map(|record| record.progress);
-            match progress {
-                Some(progress) if progress.total > 0 => {
-                    format!("{job} {}/{}", progress.done, progress.total)
-                }
-                _ => job.to_string(),
-            }
-        }),
+        Column::Job => job_words(model, node),
         Column::Queue => node.queue().map_or(String::new(), |(depth, free)| {
             format!("{depth}/{}", depth + free)
         }),

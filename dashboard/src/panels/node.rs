@@ -131,6 +131,9 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         {
             theme::concern_badge(concern).show(ui);
         }
+        if let Some(pace) = node.pace() {
+            ui.label(theme::toned(ui, Tone::Warn, text::pace(pace)));
+        }
         let stop = ui.add(theme::stop_button("Stop node"));
         let slow = ui.button("Slow stop node");
         for (button, mode) in [(stop, StopMode::Halt), (slow, StopMode::Decelerate)] {

@@ -8,9 +8,10 @@ use dashboard::{
     panels::node::Page,
 };
 use egui::Role;
+use egui_kittest::kittest::Queryable as _;
 use keys::{
     NodeState,
-    record::{ClockRecord, FaultRecord, LinkRecord, NodeWord},
+    record::{ClockRecord, FaultRecord, LinkRecord, NodeWord, PaceRecord},
 };
 
 const SIZE: [f32; 2] = [1_000.0, 780.0];
@@ -83,6 +84,20 @@ fn what_nobody_sends_is_said_to_be_not_told() {
         assert!(shows(&window, name), "{name}");
     }
     assert!(shows(&window, "not told"));
+}
+
+#[test]
+fn a_hold_and_another_speed_are_told_in_the_list_and_on_the_page() {
+    for (hold, percent, words) in [(false, 50, "at 50 %"), (true, 50, "held, at 50 %")] {
+        let mut dashboard = circle();
+        let mut told = record("laser-1", NodeWord::Running);
+        told.pace = Some(PaceRecord { hold, percent });
+        let message = Message::Node(Box::new(told.clone()));
+        tell(&mut dashboard, at_ms(10_000), message);
+        let window = show(dashboard);
+        let told = window.get_all_by_label_contains(words).count();
+        assert!(told >= 2, "{words}: {told}");
+    }
 }
 
 #[test]
