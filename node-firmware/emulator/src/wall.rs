@@ -13,7 +13,7 @@ use crate::{
 };
 use embedded_io_adapters::tokio_1::FromTokio;
 use keys::{AxisId, LocalMicros, NodeId, Status};
-use node::{Inbound, library::ScriptStore, run::NodeLink};
+use node::{Inbound, library::BoxedStore, run::NodeLink};
 use pico::{
     driver::{self, App, Connect, ConnectError, Next, Timer},
     session::{Session, SessionConfig},
@@ -195,7 +195,7 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
     if config.ring_commands == 0 {
         return Err(SpawnError::Ring);
     }
-    let store: Box<dyn ScriptStore> = match &config.scripts {
+    let store: BoxedStore = match &config.scripts {
         None => Box::<MemoryStore>::default(),
         Some(folder) => {
             let store = FolderStore::open(folder);

@@ -42,7 +42,7 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
-    library::{Library, ScriptStore},
+    library::{BoxedStore, Library},
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
     pace::Pace,
@@ -53,7 +53,6 @@ use crate::{
     trace::{Event, Trace},
 };
 use ::script::Limits;
-use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use keys::{
     Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
@@ -527,7 +526,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
 
     /// Takes the stored scripts of the boots before, and saves changes to this store from now on. Call
     /// it once, before anything else; then [`Node::run_boot_script`].
-    pub fn open_store(&mut self, now: LocalMicros, store: Box<dyn ScriptStore>) {
+    pub fn open_store(&mut self, now: LocalMicros, store: BoxedStore) {
         let now = self.advance_to(now);
         if let Err(error) = self.stored.attach(store) {
             self.log(now, format_args!("stored scripts: {error}"));

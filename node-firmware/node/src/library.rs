@@ -11,6 +11,8 @@
 //! cannot be read. A log line says when it is safe. A power cut in between costs the change, not the
 //! text before it.
 
+pub mod flash;
+
 use alloc::{boxed::Box, string::String, vec::Vec};
 use keys::{NodeId, script::SCRIPT_BYTES_MAX};
 
@@ -78,7 +80,7 @@ impl core::error::Error for SaveError {}
 /// | `remove` | while nothing moves | a name that is not there is no error |
 ///
 /// A call may take as long as it needs: the node does nothing else meanwhile.
-pub trait ScriptStore: core::fmt::Debug + Send {
+pub trait ScriptStore: core::fmt::Debug {
     /// Gives names and texts to `take`.
     ///
     /// # Errors
@@ -99,6 +101,9 @@ pub trait ScriptStore: core::fmt::Debug + Send {
     fn remove(&mut self, name: &str) -> Result<(), SaveError>;
 }
 
+/// A store that a node takes with it, to whatever thread.
+pub type BoxedStore = Box<dyn ScriptStore + Send>;
+
 /// One change that reached the store, or did not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saved {
@@ -114,7 +119,9 @@ pub struct Saved {
 #[derive(Debug, Default)]
 pub struct Library {
     scripts: Vec<(String, String)>,
-    store: Option<Box<dyn ScriptStore>>,
+    store: Option<BoxedStore>,
+    /// There is a store, here or with whoever calls [`Library::save_next_to`].
+    is_kept: bool,
     /// Names whose text, or absence, the store does not have yet, oldest first.
     unsaved: Vec<String>,
 }
@@ -124,7 +131,18 @@ impl Library {
     ///
     /// # Errors
     /// Some of it could not be read; the rest is here, and changes are saved all the same.
-    pub fn attach(&mut self, mut store: Box<dyn ScriptStore>) -> Result<(), SaveError> {
+    pub fn attach(&mut self, mut store: BoxedStore) -> Result<(), SaveError> {
+        let result = self.load(&mut *store);
+        self.store = Some(store);
+        result
+    }
+
+    /// Takes what a store holds that stays with the caller, who saves the changes to it from now on:
+    /// [`Library::save_next_to`].
+    ///
+    /// # Errors
+    /// Those of [`Library::attach`].
+    pub fn load(&mut self, store: &mut dyn ScriptStore) -> Result<(), SaveError> {
         let mut result = Ok(());
         let loaded = store.load(&mut |name, text| {
             // What no node would have saved has come there by other ways.
@@ -132,13 +150,14 @@ impl Library {
                 result = Err(SaveError::Broken);
             }
         });
-        self.store = Some(store);
+        self.is_kept = true;
         loaded.and(result)
     }
 
     /// Gives the store back, for the next start. What was not saved is lost with this one.
-    pub fn detach(&mut self) -> Option<Box<dyn ScriptStore>> {
+    pub fn detach(&mut self) -> Option<BoxedStore> {
         self.unsaved.clear();
+        self.is_kept = false;
         self.store.take()
     }
 
@@ -188,7 +207,14 @@ impl Library {
     /// Saves the oldest change, and tells how that went; `None` if there was none. One that fails is
     /// not tried again: a flash that is worn out gets no better.
     pub fn save_next(&mut self) -> Option<Saved> {
-        let store = self.store.as_mut()?;
+        let mut store = self.store.take()?;
+        let saved = self.save_next_to(&mut *store);
+        self.store = Some(store);
+        saved
+    }
+
+    /// Does what [`Library::save_next`] does, with a store that stays with the caller.
+    pub fn save_next_to(&mut self, store: &mut dyn ScriptStore) -> Option<Saved> {
         if self.unsaved.is_empty() {
             return None;
         }
@@ -232,7 +258,7 @@ impl Library {
     }
 
     fn note_unsaved(&mut self, name: &str) {
-        if self.store.is_some() && !self.unsaved.iter().any(|unsaved| unsaved == name) {
+        if self.is_kept && !self.unsaved.iter().any(|unsaved| unsaved == name) {
             self.unsaved.push(name.into());
         }
     }
