@@ -115,10 +115,18 @@ pub struct Saved {
     pub result: Result<(), SaveError>,
 }
 
+#[derive(Debug)]
+struct Script {
+    name: String,
+    text: String,
+    /// The node may run it.
+    runs: bool,
+}
+
 /// Scripts by name.
 #[derive(Debug, Default)]
 pub struct Library {
-    scripts: Vec<(String, String)>,
+    scripts: Vec<Script>,
     store: Option<BoxedStore>,
     /// There is a store, here or with whoever calls [`Library::save_next_to`].
     is_kept: bool,
@@ -163,11 +171,27 @@ impl Library {
 
     /// Returns the text of this name.
     pub fn get(&self, name: &str) -> Option<&str> {
-        let found = self.scripts.iter().find(|(stored, _)| stored == name);
-        found.map(|(_, text)| text.as_str())
+        self.find(name).map(|script| script.text.as_str())
     }
 
-    /// Stores a script, in place of one of the same name.
+    /// Returns the text of this name, if the node may run it.
+    pub fn runnable(&self, name: &str) -> Option<&str> {
+        let found = self.find(name).filter(|script| script.runs);
+        found.map(|script| script.text.as_str())
+    }
+
+    /// Decides, by name and text, which scripts may be run.
+    pub fn judge(&mut self, mut may_run: impl FnMut(&str, &str) -> bool) {
+        for script in &mut self.scripts {
+            script.runs = may_run(&script.name, &script.text);
+        }
+    }
+
+    fn find(&self, name: &str) -> Option<&Script> {
+        self.scripts.iter().find(|script| script.name == name)
+    }
+
+    /// Stores a script that may be run, in place of one of the same name.
     ///
     /// # Errors
     /// Why not; nothing has changed then.
@@ -187,7 +211,7 @@ impl Library {
             return Ok(());
         }
         self.demand_room(name)?;
-        self.scripts.retain(|(stored, _)| stored != name);
+        self.scripts.retain(|script| script.name != name);
         self.note_unsaved(name);
         Ok(())
     }
@@ -196,7 +220,7 @@ impl Library {
     pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
         self.scripts
             .iter()
-            .map(|(name, text)| (name.as_str(), text.as_str()))
+            .map(|script| (script.name.as_str(), script.text.as_str()))
     }
 
     /// Returns whether [`Library::save_next`] has something to do.
@@ -219,13 +243,13 @@ impl Library {
             return None;
         }
         let name = self.unsaved.remove(0);
-        let text = self.scripts.iter().find(|(stored, _)| *stored == name);
-        let result = match text {
-            Some((_, text)) => store.save(&name, text.as_bytes()),
+        let script = self.find(&name);
+        let result = match script {
+            Some(script) => store.save(&name, script.text.as_bytes()),
             None => store.remove(&name),
         };
         Some(Saved {
-            removed: text.is_none(),
+            removed: script.is_none(),
             name,
             result,
         })
@@ -237,15 +261,20 @@ impl Library {
             return Err(StoreError::Long);
         }
         let text = core::str::from_utf8(text).map_err(|_| StoreError::Text)?;
-        if let Some((_, stored)) = self.scripts.iter_mut().find(|(stored, _)| stored == name) {
-            *stored = text.into();
+        if let Some(script) = self.scripts.iter_mut().find(|script| script.name == name) {
+            script.text = text.into();
+            script.runs = true;
             return Ok(());
         }
         if self.scripts.len() >= STORED_MAX {
             return Err(StoreError::Full);
         }
-        self.scripts.push((name.into(), text.into()));
-        self.scripts.sort_unstable();
+        self.scripts.push(Script {
+            name: name.into(),
+            text: text.into(),
+            runs: true,
+        });
+        self.scripts.sort_unstable_by(|a, b| a.name.cmp(&b.name));
         Ok(())
     }
 
