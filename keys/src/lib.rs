@@ -33,6 +33,8 @@ pub mod record;
 pub mod script;
 #[cfg(feature = "signed")]
 pub mod signed;
+#[cfg(feature = "signed")]
+pub mod signed_script;
 #[cfg(feature = "json")]
 pub mod signers;
 pub mod start;

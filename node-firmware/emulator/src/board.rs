@@ -41,6 +41,9 @@ const LOOK: Duration = Duration::from_millis(20);
 /// From one prompt to the next.
 const PROMPT_EVERY: Duration = Duration::from_secs(5);
 
+// A node takes as many keys as its record has.
+const _: () = assert!(provision::record::SIGNERS_MAX == node::signed::KEYS_MAX);
+
 type BoardDialogue = Dialogue<Region<Flash>>;
 
 /// What the line, the node's task and the handle share.
@@ -227,6 +230,8 @@ fn config_of(
         keys: Keys::new(&record.prefix).unwrap_or_default(),
         flash: Some(flash.clone()),
         update_key: record.update_key,
+        boot_script: record.boot_script,
+        signers: record.signers.iter().copied().collect(),
         ..base.clone()
     };
     if !record.router.is_empty() {

@@ -69,7 +69,8 @@ pub struct EmulatorConfig {
     pub script: script::Limits,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
-    /// Folder of its stored scripts; in memory by default. Wall clock only.
+    /// Folder of its stored scripts; by default in its flash, or in memory if it has none. Wall clock
+    /// only.
     pub scripts: Option<PathBuf>,
     /// Public keys of operators: the node executes only what one of them has signed. None by
     /// default: whatever its gateway sends.

@@ -27,7 +27,7 @@ use motion::{
 };
 use node::{
     Inbound, Node, NodeConfig, Outbound, Outputs,
-    library::{Library, ScriptStore},
+    library::{BoxedStore, Library},
 };
 use std::{
     io::{self, Write},
@@ -170,7 +170,7 @@ impl EmulatedNode {
     ///
     /// # Panics
     /// [`EmulatorConfig::check`] finds something wrong.
-    pub fn with_store(config: EmulatorConfig, boot: u32, store: Box<dyn ScriptStore>) -> Self {
+    pub fn with_store(config: EmulatorConfig, boot: u32, store: BoxedStore) -> Self {
         if let Err(error) = config.check() {
             panic!("{error}");
         }
@@ -245,7 +245,7 @@ impl EmulatedNode {
     }
 
     /// What a boot does with the stored scripts.
-    fn open_store(&mut self, store: Box<dyn ScriptStore>) {
+    fn open_store(&mut self, store: BoxedStore) {
         let start = LocalMicros(0);
         self.node.open_store(start, store);
         self.node.run_boot_script(start);

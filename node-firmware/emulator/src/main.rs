@@ -137,9 +137,10 @@ struct Args {
     job: Option<PathBuf>,
 
     /// Emulate a whole board with its flash in this file, made blank if it is not there: name, router,
-    /// user and axes come from what `fleet provision` has told it, and `fleet update` gives it other
-    /// firmware.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "nodes", "connect", "prefix", "user", "vcd"])]
+    /// user, axes, signers and whether a boot script may run come from what `fleet provision` has told
+    /// it; stored scripts lie in it, and `fleet update` gives it other firmware.
+    #[arg(long, value_name = "FILE", conflicts_with_all =
+        ["name", "nodes", "connect", "prefix", "user", "vcd", "signers", "scripts", "boot_script"])]
     flash: Option<PathBuf>,
 
     /// Where the board's serial port is to be found: a link that is made, and removed at the end.

@@ -13,7 +13,11 @@ use crate::{
 };
 use embedded_io_adapters::tokio_1::FromTokio;
 use keys::{AxisId, LocalMicros, NodeId, Status};
-use node::{Inbound, library::ScriptStore, run::NodeLink};
+use node::{
+    Inbound,
+    library::{BoxedStore, SaveError, flash::FlashStore},
+    run::NodeLink,
+};
 use pico::{
     driver::{self, App, Connect, ConnectError, Next, Timer},
     session::{Session, SessionConfig},
@@ -35,6 +39,7 @@ use tokio::{
     task::JoinHandle,
     time::Instant,
 };
+use update::Region;
 
 /// Why a node cannot be spawned.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,7 +50,7 @@ pub enum SpawnError {
     Motion(motion::ConfigError),
     /// The ring holds no command.
     Ring,
-    /// The folder of the stored scripts cannot be made or read.
+    /// The folder, or the flash, of the stored scripts cannot be made or read.
     Scripts(String),
 }
 
@@ -57,7 +62,7 @@ impl std::fmt::Display for SpawnError {
             }
             Self::Motion(error) => error.fmt(f),
             Self::Ring => write!(f, "the ring must hold at least one command"),
-            Self::Scripts(error) => write!(f, "the folder of stored scripts: {error}"),
+            Self::Scripts(error) => write!(f, "the stored scripts: {error}"),
         }
     }
 }
@@ -195,14 +200,7 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
     if config.ring_commands == 0 {
         return Err(SpawnError::Ring);
     }
-    let store: Box<dyn ScriptStore> = match &config.scripts {
-        None => Box::<MemoryStore>::default(),
-        Some(folder) => {
-            let store = FolderStore::open(folder);
-            let told = |error| SpawnError::Scripts(format!("{}: {error}", folder.display()));
-            Box::new(store.map_err(told)?)
-        }
-    };
+    let store = store_of(&config)?;
     let shared = Arc::new(Shared {
         clock: Mutex::new(LocalClock::new(
             0,
@@ -217,6 +215,21 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
     });
     let task = tokio::spawn(live(shared.clone(), address));
     Ok(EmulatedHandle { shared, task })
+}
+
+/// Returns where the stored scripts outlive the node: a folder, else the board's flash, else memory.
+fn store_of(config: &EmulatorConfig) -> Result<BoxedStore, SpawnError> {
+    if let Some(folder) = &config.scripts {
+        let store = FolderStore::open(folder);
+        let told = |error| SpawnError::Scripts(format!("{}: {error}", folder.display()));
+        return Ok(Box::new(store.map_err(told)?));
+    }
+    let Some(flash) = &config.flash else {
+        return Ok(Box::<MemoryStore>::default());
+    };
+    let store = FlashStore::open(Region::new(flash.clone(), update::layout::SCRIPTS));
+    let told = |error: SaveError| SpawnError::Scripts(format!("in the flash: {error}"));
+    Ok(Box::new(store.map_err(told)?))
 }
 
 fn is_port((host, port): (&str, &str)) -> bool {

@@ -35,6 +35,7 @@ mod intake;
 mod pace;
 mod report;
 mod script;
+mod shelf;
 mod start;
 mod stop;
 
@@ -42,7 +43,7 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
-    library::{Library, ScriptStore},
+    library::Library,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
     pace::Pace,
@@ -53,7 +54,6 @@ use crate::{
     trace::{Event, Trace},
 };
 use ::script::Limits;
-use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use keys::{
     Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
@@ -523,69 +523,6 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
     /// Returns the stored scripts.
     pub fn library(&self) -> &Library {
         &self.stored
-    }
-
-    /// Takes the stored scripts of the boots before, and saves changes to this store from now on. Call
-    /// it once, before anything else; then [`Node::run_boot_script`].
-    pub fn open_store(&mut self, now: LocalMicros, store: Box<dyn ScriptStore>) {
-        let now = self.advance_to(now);
-        if let Err(error) = self.stored.attach(store) {
-            self.log(now, format_args!("stored scripts: {error}"));
-        }
-    }
-
-    /// Stores a script, or removes it: in memory at once, for good as soon as nothing moves. The log
-    /// says so.
-    pub fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
-        let now = self.advance_to(now);
-        if !self.config.signers.is_empty() {
-            // It would be called by a signed job without being signed itself.
-            self.log(
-                now,
-                format_args!("script {name} not taken: it is not signed"),
-            );
-            return;
-        }
-        let (result, word) = match text {
-            Some(text) => (self.stored.put(name, text), "stored"),
-            None => (self.stored.remove(name), "removed"),
-        };
-        match result {
-            Err(error) => self.log(now, format_args!("script {name} not {word}: {error}")),
-            Ok(()) if !self.stored.has_unsaved() => {
-                self.log(now, format_args!("script {name} {word}"));
-            }
-            Ok(()) if self.may_save() => {}
-            Ok(()) => self.log(
-                now,
-                format_args!("script {name} {word}; it is saved when nothing moves"),
-            ),
-        }
-        self.settle(now);
-    }
-
-    /// Saves what waits for it, one script at a time: each may take long.
-    fn save_scripts(&mut self, now: LocalMicros) {
-        if !self.may_save() {
-            return;
-        }
-        let Some(saved) = self.stored.save_next() else {
-            return;
-        };
-        let name = &saved.name;
-        let word = if saved.removed { "removed" } else { "stored" };
-        match saved.result {
-            Ok(()) => self.log(now, format_args!("script {name} {word}")),
-            Err(error) => self.log(
-                now,
-                format_args!("script {name} {word} until the next start only: {error}"),
-            ),
-        }
-    }
-
-    /// Nothing moves, and nothing is about to.
-    fn may_save(&self) -> bool {
-        !self.motion.is_active()
     }
 
     /// Returns the stored scripts, to change them.

@@ -11,6 +11,8 @@
 //! cannot be read. A log line says when it is safe. A power cut in between costs the change, not the
 //! text before it.
 
+pub mod flash;
+
 use alloc::{boxed::Box, string::String, vec::Vec};
 use keys::{NodeId, script::SCRIPT_BYTES_MAX};
 
@@ -78,7 +80,7 @@ impl core::error::Error for SaveError {}
 /// | `remove` | while nothing moves | a name that is not there is no error |
 ///
 /// A call may take as long as it needs: the node does nothing else meanwhile.
-pub trait ScriptStore: core::fmt::Debug + Send {
+pub trait ScriptStore: core::fmt::Debug {
     /// Gives names and texts to `take`.
     ///
     /// # Errors
@@ -99,6 +101,9 @@ pub trait ScriptStore: core::fmt::Debug + Send {
     fn remove(&mut self, name: &str) -> Result<(), SaveError>;
 }
 
+/// A store that a node takes with it, to whatever thread.
+pub type BoxedStore = Box<dyn ScriptStore + Send>;
+
 /// One change that reached the store, or did not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saved {
@@ -110,11 +115,21 @@ pub struct Saved {
     pub result: Result<(), SaveError>,
 }
 
+#[derive(Debug)]
+struct Script {
+    name: String,
+    text: String,
+    /// The node may run it.
+    runs: bool,
+}
+
 /// Scripts by name.
 #[derive(Debug, Default)]
 pub struct Library {
-    scripts: Vec<(String, String)>,
-    store: Option<Box<dyn ScriptStore>>,
+    scripts: Vec<Script>,
+    store: Option<BoxedStore>,
+    /// There is a store, here or with whoever calls [`Library::save_next_to`].
+    is_kept: bool,
     /// Names whose text, or absence, the store does not have yet, oldest first.
     unsaved: Vec<String>,
 }
@@ -124,7 +139,18 @@ impl Library {
     ///
     /// # Errors
     /// Some of it could not be read; the rest is here, and changes are saved all the same.
-    pub fn attach(&mut self, mut store: Box<dyn ScriptStore>) -> Result<(), SaveError> {
+    pub fn attach(&mut self, mut store: BoxedStore) -> Result<(), SaveError> {
+        let result = self.load(&mut *store);
+        self.store = Some(store);
+        result
+    }
+
+    /// Takes what a store holds that stays with the caller, who saves the changes to it from now on:
+    /// [`Library::save_next_to`].
+    ///
+    /// # Errors
+    /// Those of [`Library::attach`].
+    pub fn load(&mut self, store: &mut dyn ScriptStore) -> Result<(), SaveError> {
         let mut result = Ok(());
         let loaded = store.load(&mut |name, text| {
             // What no node would have saved has come there by other ways.
@@ -132,23 +158,40 @@ impl Library {
                 result = Err(SaveError::Broken);
             }
         });
-        self.store = Some(store);
+        self.is_kept = true;
         loaded.and(result)
     }
 
     /// Gives the store back, for the next start. What was not saved is lost with this one.
-    pub fn detach(&mut self) -> Option<Box<dyn ScriptStore>> {
+    pub fn detach(&mut self) -> Option<BoxedStore> {
         self.unsaved.clear();
+        self.is_kept = false;
         self.store.take()
     }
 
     /// Returns the text of this name.
     pub fn get(&self, name: &str) -> Option<&str> {
-        let found = self.scripts.iter().find(|(stored, _)| stored == name);
-        found.map(|(_, text)| text.as_str())
+        self.find(name).map(|script| script.text.as_str())
     }
 
-    /// Stores a script, in place of one of the same name.
+    /// Returns the text of this name, if the node may run it.
+    pub fn runnable(&self, name: &str) -> Option<&str> {
+        let found = self.find(name).filter(|script| script.runs);
+        found.map(|script| script.text.as_str())
+    }
+
+    /// Decides, by name and text, which scripts may be run.
+    pub fn judge(&mut self, mut may_run: impl FnMut(&str, &str) -> bool) {
+        for script in &mut self.scripts {
+            script.runs = may_run(&script.name, &script.text);
+        }
+    }
+
+    fn find(&self, name: &str) -> Option<&Script> {
+        self.scripts.iter().find(|script| script.name == name)
+    }
+
+    /// Stores a script that may be run, in place of one of the same name.
     ///
     /// # Errors
     /// Why not; nothing has changed then.
@@ -168,7 +211,7 @@ impl Library {
             return Ok(());
         }
         self.demand_room(name)?;
-        self.scripts.retain(|(stored, _)| stored != name);
+        self.scripts.retain(|script| script.name != name);
         self.note_unsaved(name);
         Ok(())
     }
@@ -177,7 +220,7 @@ impl Library {
     pub fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
         self.scripts
             .iter()
-            .map(|(name, text)| (name.as_str(), text.as_str()))
+            .map(|script| (script.name.as_str(), script.text.as_str()))
     }
 
     /// Returns whether [`Library::save_next`] has something to do.
@@ -188,18 +231,25 @@ impl Library {
     /// Saves the oldest change, and tells how that went; `None` if there was none. One that fails is
     /// not tried again: a flash that is worn out gets no better.
     pub fn save_next(&mut self) -> Option<Saved> {
-        let store = self.store.as_mut()?;
+        let mut store = self.store.take()?;
+        let saved = self.save_next_to(&mut *store);
+        self.store = Some(store);
+        saved
+    }
+
+    /// Does what [`Library::save_next`] does, with a store that stays with the caller.
+    pub fn save_next_to(&mut self, store: &mut dyn ScriptStore) -> Option<Saved> {
         if self.unsaved.is_empty() {
             return None;
         }
         let name = self.unsaved.remove(0);
-        let text = self.scripts.iter().find(|(stored, _)| *stored == name);
-        let result = match text {
-            Some((_, text)) => store.save(&name, text.as_bytes()),
+        let script = self.find(&name);
+        let result = match script {
+            Some(script) => store.save(&name, script.text.as_bytes()),
             None => store.remove(&name),
         };
         Some(Saved {
-            removed: text.is_none(),
+            removed: script.is_none(),
             name,
             result,
         })
@@ -211,15 +261,20 @@ impl Library {
             return Err(StoreError::Long);
         }
         let text = core::str::from_utf8(text).map_err(|_| StoreError::Text)?;
-        if let Some((_, stored)) = self.scripts.iter_mut().find(|(stored, _)| stored == name) {
-            *stored = text.into();
+        if let Some(script) = self.scripts.iter_mut().find(|script| script.name == name) {
+            script.text = text.into();
+            script.runs = true;
             return Ok(());
         }
         if self.scripts.len() >= STORED_MAX {
             return Err(StoreError::Full);
         }
-        self.scripts.push((name.into(), text.into()));
-        self.scripts.sort_unstable();
+        self.scripts.push(Script {
+            name: name.into(),
+            text: text.into(),
+            runs: true,
+        });
+        self.scripts.sort_unstable_by(|a, b| a.name.cmp(&b.name));
         Ok(())
     }
 
@@ -232,7 +287,7 @@ impl Library {
     }
 
     fn note_unsaved(&mut self, name: &str) {
-        if self.store.is_some() && !self.unsaved.iter().any(|unsaved| unsaved == name) {
+        if self.is_kept && !self.unsaved.iter().any(|unsaved| unsaved == name) {
             self.unsaved.push(name.into());
         }
     }

@@ -209,7 +209,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// put the stored scripts back after a start calls this once.
     pub fn run_boot_script(&mut self, now: LocalMicros) {
         let now = self.advance_to(now);
-        let text = self.stored.get(BOOT.as_str()).map(String::from);
+        let text = self.stored.runnable(BOOT.as_str()).map(String::from);
         let Some(text) = text.filter(|_| self.config.boot_script && !self.script.is_running())
         else {
             return;
@@ -539,6 +539,6 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
     }
 
     fn stored(&self, name: &str) -> Option<&str> {
-        self.node.stored.get(name)
+        self.node.stored.runnable(name)
     }
 }

@@ -11,6 +11,10 @@
 //! A stop, a cancel, a release and the instant of a start need no signature: none of them executes
 //! what was not signed. Absent on purpose: a clock.
 
+mod stored;
+
+pub(crate) use stored::{StoredRefusal, check_stored};
+
 use keys::{
     BatchHeader, JobId, NodeId, QueueId, Refusal,
     batch::BATCH_COMMANDS_MAX,
@@ -125,13 +129,7 @@ impl Verifier {
         if !self.is_going_on(proof, progress.queue, &progress.job)
             && let Some(place) = keys.iter().position(|key| *key == proof.key)
         {
-            let numbers = &mut self.used[place];
-            if numbers.is_full() {
-                numbers.remove(0);
-            }
-            let at = numbers.partition_point(|number| *number < proof.number);
-            // Cannot fail: room was made.
-            let _ = numbers.insert(at, proof.number);
+            stored::note_number(&mut self.used[place], proof.number);
         }
         self.progress = Some(progress);
     }

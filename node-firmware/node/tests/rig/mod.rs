@@ -13,7 +13,7 @@ use keys::{
     batch::{BatchWriter, ORDER_BYTES_MAX},
     version,
 };
-use node::library::ScriptStore;
+use node::library::BoxedStore;
 
 /// The boot of every node on the bench.
 pub const BOOT: u32 = 7;
@@ -69,7 +69,7 @@ impl Rig {
     }
 
     /// The same, with its stored scripts in this store.
-    pub fn with_store(config: EmulatorConfig, store: Box<dyn ScriptStore>) -> Self {
+    pub fn with_store(config: EmulatorConfig, store: BoxedStore) -> Self {
         Self::with_node(EmulatedNode::with_store(config, BOOT, store))
     }
 
