@@ -159,6 +159,44 @@ fn a_node_is_told_its_name_network_and_router_and_says_no_secret() {
 }
 
 #[test]
+fn a_boot_script_is_allowed_and_forbidden_and_signers_are_told_by_their_list() {
+    let board = Board::new(false);
+    let files = tempfile::tempdir().expect("a folder");
+    let list = files.path().join("signers");
+    std::fs::write(&list, format!("# who\nalice {}\n", "ab".repeat(32))).expect("written");
+    let list = list.to_str().expect("a path");
+    let shown = |line: &[&str]| {
+        let (code, out, err) = board.fleet(&[line, &["--json"]].concat());
+        assert_eq!((code, err.as_str()), (Some(0), ""), "{line:?}");
+        let shown: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+        (shown["boot_script"].clone(), shown["signers"].clone())
+    };
+    let none = serde_json::json!([]);
+    let first = shown(&["--name", "left", "--wifi", "shop"]);
+    assert_eq!(
+        first,
+        (false.into(), none.clone()),
+        "nothing is allowed unasked"
+    );
+    let alice = serde_json::json!(["abababab"]);
+    let told = shown(&["--boot-script", "--signers", list]);
+    assert_eq!(told, (true.into(), alice.clone()));
+    assert_eq!(shown(&["--boot-script=no"]), (false.into(), alice));
+    assert_eq!(shown(&["--no-signers"]), (false.into(), none));
+    let (_, out, _) = board.fleet(&["--signers", list]);
+    assert!(
+        out.contains("boot script no\nsigners     abababab…"),
+        "{out}"
+    );
+    std::fs::write(list, "alice 00").expect("written");
+    let (code, _, err) = board.fleet(&["--signers", list]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("signers: line 1: not 64"), "{err}");
+    let (record, _) = board.end();
+    assert_eq!(record.signers, [[0xab; 32]]);
+}
+
+#[test]
 fn refusals_have_words_and_change_nothing() {
     let board = Board::new(false);
     let (code, _, err) = board.fleet(&["--name", "left"]);

@@ -5,7 +5,7 @@
 
 use crate::{
     frame::{self, FRAME_BYTES_MAX, FrameReader},
-    record::{NETWORKS_MAX, Record, SSID_BYTES_MAX, Setting, SettingError},
+    record::{NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError},
     store::{Store, StoreError},
 };
 use embedded_storage::nor_flash::NorFlash;
@@ -59,7 +59,8 @@ pub enum Reply {
     Refused(Refused),
 }
 
-/// A record without its secrets.
+/// A record without its secrets. Fields are only appended: one that an older firmware does not tell
+/// reads as its default.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shown {
     /// The node's name.
@@ -74,7 +75,14 @@ pub struct Shown {
     pub axes: u8,
     /// A key for updates is set.
     pub has_update_key: bool,
+    /// The stored script `boot` runs when the node starts.
+    pub boot_script: bool,
+    /// The first bytes of the operators' keys, to tell them apart.
+    pub signers: Vec<[u8; SIGNER_SHOWN_BYTES], SIGNERS_MAX>,
 }
+
+/// How much of an operator's key is shown.
+pub const SIGNER_SHOWN_BYTES: usize = 4;
 
 /// Why not. Appended to, never changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -218,5 +226,11 @@ fn shown(record: &Record) -> Shown {
         has_login: record.login.is_some(),
         axes: record.axes.len() as u8,
         has_update_key: record.update_key.is_some(),
+        boot_script: record.boot_script,
+        signers: record
+            .signers
+            .iter()
+            .map(|key| [key[0], key[1], key[2], key[3]])
+            .collect(),
     }
 }

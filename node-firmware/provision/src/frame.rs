@@ -10,6 +10,9 @@ use serde::{Serialize, de::DeserializeOwned};
 /// Most bytes of a frame, zeros not counted.
 pub const FRAME_BYTES_MAX: usize = 320;
 
+/// Most bytes of fields that an older firmware does not know, as zeros.
+const MISSING_BYTES_MAX: usize = 32;
+
 /// Bytes of a message and its checksum before COBS adds its own.
 const PLAIN_BYTES_MAX: usize = FRAME_BYTES_MAX - 4;
 
@@ -76,5 +79,27 @@ fn decode<M: DeserializeOwned>(bytes: &mut [u8]) -> Option<M> {
     if crc32fast::hash(message) != u32::from_le_bytes(*crc) {
         return None;
     }
-    postcard::from_bytes(message).ok()
+    // The last fields may be missing: every default is a row of zero bytes.
+    let mut padded = [0; FRAME_BYTES_MAX + MISSING_BYTES_MAX];
+    padded[..message.len()].copy_from_slice(message);
+    let (message, _) = postcard::take_from_bytes(&padded).ok()?;
+    Some(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_of_an_older_firmware_lacks_the_last_fields() {
+        let mut out = [0; FRAME_BYTES_MAX + 2];
+        let used = write(&(7_u8, 300_u16), &mut out);
+        let mut reader = FrameReader::new();
+        type Newer = (u8, u16, bool, heapless::Vec<[u8; 4], 8>);
+        let mut found = None;
+        for byte in &out[..used] {
+            found = found.or(reader.handle_byte::<Newer>(*byte));
+        }
+        assert_eq!(found, Some((7, 300, false, heapless::Vec::new())));
+    }
 }

@@ -23,8 +23,11 @@ pub const ROUTER_BYTES_MAX: usize = 64;
 /// Longest user name, bytes.
 pub const USER_BYTES_MAX: usize = 32;
 
+/// Most keys of operators that a node knows.
+pub const SIGNERS_MAX: usize = 8;
+
 /// Most bytes of a record.
-pub const RECORD_BYTES_MAX: usize = 1_024;
+pub const RECORD_BYTES_MAX: usize = 1_280;
 
 /// A WiFi network.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -126,6 +129,11 @@ pub struct Record {
     pub axes: Vec<AxisSettings, AXES_MAX>,
     /// Public key (ed25519) that updates must be signed with; none: no updates over the network.
     pub update_key: Option<[u8; 32]>,
+    /// Whether the stored script `boot` runs when the node starts.
+    pub boot_script: bool,
+    /// Public keys (ed25519) of operators: the node executes only what one of them has signed; none:
+    /// whatever its gateway sends.
+    pub signers: Vec<[u8; 32], SIGNERS_MAX>,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -156,6 +164,12 @@ pub enum Setting {
     },
     /// Key for updates.
     UpdateKey(Option<[u8; 32]>),
+    /// Whether the stored script `boot` runs when the node starts.
+    BootScript(bool),
+    /// One more operator whose signature counts; one that is known is no error.
+    Signer([u8; 32]),
+    /// Forgets all operators: the node executes whatever its gateway sends.
+    NoSigners,
 }
 
 /// A setting does not fit.
@@ -173,6 +187,8 @@ pub enum SettingError {
     Prefix,
     /// More than 32 bits of network.
     Address,
+    /// [`SIGNERS_MAX`] are known already.
+    Signers,
 }
 
 impl Record {
@@ -230,6 +246,13 @@ impl Record {
                 self.axes[index] = settings;
             }
             Setting::UpdateKey(key) => self.update_key = key,
+            Setting::BootScript(allowed) => self.boot_script = allowed,
+            Setting::Signer(key) => {
+                if !self.signers.contains(&key) {
+                    self.signers.push(key).map_err(|_| SettingError::Signers)?;
+                }
+            }
+            Setting::NoSigners => self.signers.clear(),
         }
         Ok(())
     }
@@ -299,6 +322,20 @@ mod tests {
     }
 
     #[test]
+    fn operators_are_told_one_by_one_and_forgotten_all_at_once() {
+        let mut record = Record::default();
+        for key in 0..SIGNERS_MAX as u8 {
+            record.apply(Setting::Signer([key; 32])).expect("fits");
+            record.apply(Setting::Signer([0; 32])).expect("is known");
+        }
+        let full = record.apply(Setting::Signer([99; 32]));
+        assert_eq!(full, Err(SettingError::Signers));
+        assert_eq!(record.signers.len(), SIGNERS_MAX);
+        record.apply(Setting::NoSigners).expect("always");
+        assert_eq!(record, Record::default());
+    }
+
+    #[test]
     fn the_largest_record_fits() {
         let mut record = Record {
             name: Some(NodeId::new("n".repeat_32().as_str()).expect("legal")),
@@ -343,6 +380,7 @@ mod tests {
         };
         while record.axes.push(most).is_ok() {}
         record.update_key = Some([0xff; 32]);
+        while record.signers.push([0xff; 32]).is_ok() {}
         let mut buffer = [0; RECORD_BYTES_MAX];
         assert!(postcard::to_slice(&record, &mut buffer).is_ok());
     }

@@ -183,6 +183,46 @@ fn decode(bytes: &[u8]) -> Option<Record> {
 mod tests {
     use super::*;
 
+    /// What the first firmware kept: every field set, before there were boot scripts and signers.
+    const OLDER: &[u8] = &[
+        1, 4, b'l', b'e', b'f', b't', // name
+        2, b's', b'1', // prefix
+        1, 4, b's', b'h', b'o', b'p', 8, b'p', b'a', b's', b's', b'w', b'o', b'r',
+        b'd', // networks
+        1, 10, 0, 0, 9, 24, 10, 0, 0, 1, // fixed address
+        7, b't', b'c', b'p', b'/', b'a', b':', b'1', // router
+        1, 1, b'u', 1, b'p', // login
+        1, 1, 2, 3, 4, 5, 6, 7, 1, // axes
+        1, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9, 9,
+        9, 9, 9, // update key
+    ];
+
+    #[test]
+    fn a_record_of_the_first_firmware_allows_no_boot_script_and_has_no_signers() {
+        let record = decode(OLDER).expect("it stays readable");
+        assert_eq!(record.name.map(|name| name.as_str() == "left"), Some(true));
+        assert_eq!(record.prefix, "s1");
+        assert_eq!(record.networks[0].password, "password");
+        assert_eq!(
+            record.fixed_address.map(|fixed| fixed.prefix_bits),
+            Some(24)
+        );
+        assert_eq!(record.router, "tcp/a:1");
+        assert_eq!(
+            record.login.as_ref().map(|login| login.user.as_str()),
+            Some("u")
+        );
+        assert_eq!(record.axes[0].junction_hz, 7);
+        assert!(record.axes[0].direction_inverted);
+        assert_eq!(record.update_key, Some([9; 32]));
+        assert!(!record.boot_script && record.signers.is_empty());
+        // And the same record is still written so, with the new fields behind.
+        let mut buffer = [0; RECORD_BYTES_MAX];
+        let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
+        let (older, newer) = bytes.split_at(OLDER.len());
+        assert_eq!((older, newer), (OLDER, &[0, 0][..]));
+    }
+
     #[test]
     fn missing_fields_are_their_defaults() {
         assert_eq!(decode(&[]), Some(Record::default()));
@@ -192,8 +232,8 @@ mod tests {
         };
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
-        let shorter = &bytes[..bytes.len() - 3];
-        assert_eq!(decode(shorter), Some(record), "login, axes, update_key");
+        let shorter = &bytes[..bytes.len() - 5];
+        assert_eq!(decode(shorter), Some(record), "login and all behind it");
     }
 
     #[test]

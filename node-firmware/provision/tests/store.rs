@@ -177,6 +177,59 @@ fn a_dialogue_over_a_lossy_line_provisions_a_node() {
 }
 
 #[test]
+fn what_scripts_may_and_who_signs_is_told_kept_and_shown() {
+    let mut line = Line::new(Flash::new(2));
+    let told = [
+        Setting::BootScript(true),
+        Setting::Signer([0xab; 32]),
+        Setting::Signer([0xcd; 32]),
+    ];
+    for setting in settings().into_iter().chain(told) {
+        assert_eq!(line.ask(Request::Set(setting)), Ok(Reply::Done));
+    }
+    line.ask(Request::Commit).expect("complete");
+    let Ok(Reply::Record(shown)) = line.ask(Request::Show) else {
+        panic!("it shows what is kept");
+    };
+    assert!(shown.boot_script);
+    assert_eq!(shown.signers, [[0xab; 4], [0xcd; 4]]);
+    let found = read(line.node.into_store().into_flash()).expect("kept");
+    assert!(found.boot_script);
+    assert_eq!(found.signers, [[0xab; 32], [0xcd; 32]]);
+}
+
+#[test]
+fn the_longest_answer_fits_into_a_frame() {
+    let mut line = Line::new(Flash::new(2));
+    let long =
+        |letter: char, count: usize| -> String { core::iter::repeat_n(letter, count).collect() };
+    line.ask(Request::Set(Setting::Name(
+        NodeId::new(&long('n', 32)).expect("legal"),
+    )))
+    .expect("fits");
+    for letter in ['a', 'b', 'c', 'd'] {
+        let network = Network {
+            ssid: text(&long(letter, 32)),
+            password: text(&long('p', 63)),
+        };
+        line.ask(Request::Set(Setting::Network(network)))
+            .expect("fits");
+    }
+    let router = format!("tcp/{}:65535", long('r', 54));
+    line.ask(Request::Set(Setting::Router(text(&router))))
+        .expect("fits");
+    for key in 1..=8 {
+        line.ask(Request::Set(Setting::Signer([key; 32])))
+            .expect("fits");
+    }
+    line.ask(Request::Commit).expect("complete");
+    let Ok(Reply::Record(shown)) = line.ask(Request::Show) else {
+        panic!("it shows what is kept");
+    };
+    assert_eq!((shown.networks.len(), shown.signers.len()), (4, 8));
+}
+
+#[test]
 fn secrets_never_come_back() {
     let mut line = Line::new(Flash::new(2));
     for setting in settings() {

@@ -5,9 +5,9 @@ use clap::Args;
 use keys::NodeId;
 use provision::{
     Host, Reply, Request, Setting,
-    dialogue::Shown,
+    dialogue::{SIGNER_SHOWN_BYTES, Shown},
     frame::FRAME_BYTES_MAX,
-    record::{Login, Network},
+    record::{Login, Network, SIGNERS_MAX},
 };
 use serialport::SerialPort;
 use std::{
@@ -48,6 +48,26 @@ pub(crate) struct Provision {
     #[arg(long, value_name = "FILE")]
     update_key_file: Option<PathBuf>,
 
+    /// Let the stored script `boot` run whenever the node starts; `--boot-script=no` forbids it again.
+    #[arg(
+        long,
+        value_name = "yes|no",
+        value_enum,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "yes"
+    )]
+    boot_script: Option<YesNo>,
+
+    /// File with the public keys of operators (DIR/signers of a secured fleet): the node executes only
+    /// what one of them has signed. They replace those it was told before.
+    #[arg(long, value_name = "FILE")]
+    signers: Option<PathBuf>,
+
+    /// Forget the operators' keys: the node executes whatever its gateway sends.
+    #[arg(long, conflicts_with = "signers")]
+    no_signers: bool,
+
     /// Forget everything that the node was told before.
     #[arg(long)]
     clear: bool,
@@ -55,6 +75,12 @@ pub(crate) struct Provision {
     /// Boot the node afterwards, so that it takes effect.
     #[arg(long)]
     restart: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum YesNo {
+    Yes,
+    No,
 }
 
 /// Does it.
@@ -104,6 +130,16 @@ impl Provision {
             })?;
             settings.push(Setting::UpdateKey(Some(key)));
         }
+        if let Some(answer) = self.boot_script {
+            settings.push(Setting::BootScript(answer == YesNo::Yes));
+        }
+        if let Some(file) = &self.signers {
+            settings.push(Setting::NoSigners);
+            settings.extend(signers(file)?.into_iter().map(Setting::Signer));
+        }
+        if self.no_signers {
+            settings.push(Setting::NoSigners);
+        }
         Ok(settings)
     }
 }
@@ -112,6 +148,16 @@ fn secret(file: &Path, option: &str) -> Result<String, Failure> {
     let text = std::fs::read_to_string(file)
         .map_err(|error| Failure::Usage(format!("{option} {}: {error}", file.display())))?;
     Ok(text.trim_end_matches(['\r', '\n']).to_owned())
+}
+
+fn signers(file: &Path) -> Result<Vec<[u8; 32]>, Failure> {
+    let bad = |why: &str| Failure::Usage(format!("--signers {}: {why}", file.display()));
+    let list = keys::signers::parse(&secret(file, "--signers")?).map_err(|why| bad(&why))?;
+    match list.len() {
+        0 => Err(bad("there is no key in it")),
+        1..=SIGNERS_MAX => Ok(list.iter().map(|signer| signer.key.0).collect()),
+        _ => Err(bad(&format!("a node knows at most {SIGNERS_MAX} keys"))),
+    }
 }
 
 fn short<const N: usize>(text: &str, option: &str) -> Result<heapless::String<N>, Failure> {
@@ -197,6 +243,7 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
         .iter()
         .map(heapless::String::as_str)
         .collect();
+    let signers: Vec<_> = shown.signers.iter().map(hex).collect();
     if json {
         let line = serde_json::json!({
             "firmware": format!("{major}.{minor}.{patch}"),
@@ -206,6 +253,8 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
             "login": shown.has_login,
             "axes": shown.axes,
             "update_key": shown.has_update_key,
+            "boot_script": shown.boot_script,
+            "signers": signers,
         });
         println!("{line}");
         return;
@@ -220,4 +269,18 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
     println!("router      {}", shown.router);
     println!("login       {}", said(shown.has_login));
     println!("update key  {}", said(shown.has_update_key));
+    println!(
+        "boot script {}",
+        if shown.boot_script { "allowed" } else { "no" }
+    );
+    let signers = if signers.is_empty() {
+        "none: executes what its gateway sends".to_owned()
+    } else {
+        signers.join("…, ") + "…"
+    };
+    println!("signers     {signers}");
+}
+
+fn hex(bytes: &[u8; SIGNER_SHOWN_BYTES]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
