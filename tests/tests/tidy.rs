@@ -88,6 +88,7 @@ fn every_dependency_has_its_line_and_its_reason_in_the_workspace_table() {
         "pico",
         "node",
         "rmt",
+        "periphery",
         "provision",
         "update",
         "emulator",
