@@ -175,7 +175,8 @@ async fn converse<R: Read, W: Write, T: Timer, A: App>(
     timer: &T,
     app: &mut A,
 ) {
-    let mut input = vec![0; limits::READ_BYTES];
+    let read_bytes = usize::from(session.config().batch_bytes).max(limits::READ_BYTES);
+    let mut input = vec![0; read_bytes];
     let mut output: Vec<u8> = Vec::new();
     let mut written_bytes = 0;
     let mut give_up_at_us = None;

@@ -1,12 +1,14 @@
 //! What the application says and hears: samples, events, options, ids, errors.
 //!
-//! Plain values without behaviour. Everything received is owned (`String`, `Vec<u8>`), so an
+//! Plain values without behaviour. Everything received is owned, so an
 //! application may keep it as long as it likes without keeping the batch it came in.
 
 use alloc::{string::String, vec::Vec};
 use core::fmt;
 
 pub use zenoh_protocol::core::Timestamp;
+
+use crate::key::Key;
 
 macro_rules! ids {
     ($($(#[$doc:meta])* $name:ident($inner:ty);)*) => {$(
@@ -118,7 +120,7 @@ pub enum SampleKind {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample {
     /// The key as it was sent; it may be wild.
-    pub key: String,
+    pub key: Key,
     /// The value.
     pub payload: Vec<u8>,
     /// Set or deleted.

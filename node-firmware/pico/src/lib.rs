@@ -45,6 +45,7 @@ mod backoff;
 mod declarations;
 pub mod driver;
 pub mod event;
+mod key;
 pub mod limits;
 mod peer;
 mod queries;
@@ -61,4 +62,5 @@ pub use event::{
     PutError, PutOptions, QueryId, QueryTarget, QueryableId, ReplyError, Sample, SampleKind,
     SessionError, SubscriberId, Timestamp, TokenId, UndeclareError,
 };
+pub use key::Key;
 pub use session::{Credentials, Session, SessionConfig};

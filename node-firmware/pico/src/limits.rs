@@ -56,11 +56,15 @@ pub const INPUT_BYTES_MAX: usize = 128 * 1024;
 /// Piece in which a chunk of input is taken, so that a long chunk is decoded as it is copied.
 pub const INPUT_PIECE_BYTES: usize = 4096;
 
-/// Bytes that the driver reads at once.
+/// Bytes that the driver reads at once, or a whole batch if that is longer.
 pub const READ_BYTES: usize = 2048;
 
 /// Longest key expression that can be declared, published or asked for; zenoh-pico's default.
 pub const KEY_BYTES_MAX: usize = 256;
+
+/// Longest key of a received value that needs no memory of its own. The keys of a fleet with its
+/// default prefix are at most 54 bytes long.
+pub const KEY_INLINE_BYTES: usize = 62;
 
 /// Key expressions that we declare, by themselves or under a publisher, subscriber or queryable.
 pub const KEYS_MAX: usize = 128;

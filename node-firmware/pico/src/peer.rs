@@ -14,6 +14,7 @@ use zenoh_protocol::{
 
 use crate::{
     declarations::{Declarations, joined},
+    key::Key,
     limits,
 };
 
@@ -64,6 +65,22 @@ impl Peer {
             Mapping::Receiver => own.key(expr.scope)?,
         };
         Some(joined(base, &expr.suffix))
+    }
+
+    /// The key that a scope, its mapping and a suffix mean.
+    pub(crate) fn resolve_parts(
+        &self,
+        own: &Declarations,
+        scope: ExprId,
+        mapping: Mapping,
+        suffix: &str,
+    ) -> Option<Key> {
+        let base = match mapping {
+            _ if scope == 0 => "",
+            Mapping::Sender => self.keys.get(&scope)?,
+            Mapping::Receiver => own.key(scope)?,
+        };
+        Some(Key::joined(base, suffix))
     }
 
     pub(crate) fn declare_subscriber(&mut self, id: u32, key: &keyexpr) -> Result<(), Refused> {

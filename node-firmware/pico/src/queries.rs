@@ -8,6 +8,7 @@ use alloc::{string::String, vec::Vec};
 
 use crate::{
     event::{Congestion, Consolidation, Priority, QueryableId, Sample, Timestamp},
+    key::Key,
     limits,
 };
 
@@ -20,7 +21,7 @@ pub(crate) struct QueryOut {
     /// With [`Consolidation::Latest`]: the newest reply for each key.
     held: Vec<Sample>,
     /// With [`Consolidation::Monotonic`]: the newest time for each key.
-    passed: Vec<(String, Option<Timestamp>)>,
+    passed: Vec<(Key, Option<Timestamp>)>,
 }
 
 impl QueryOut {
@@ -150,7 +151,7 @@ mod tests {
     fn sample(key: &str, time: u64) -> Sample {
         let id = zenoh_protocol::core::TimestampId::try_from([1u8].as_slice()).unwrap();
         Sample {
-            key: key.to_string(),
+            key: key.into(),
             payload: Vec::new(),
             kind: SampleKind::Put,
             encoding: Encoding::default(),

@@ -275,7 +275,9 @@ async fn questions_of_ours_are_answered() -> Test {
     let (mut replies, mut errors) = (Vec::new(), Vec::new());
     while finals < 3 {
         match client.event().await {
-            Event::Reply { query, sample } => replies.push((query, sample.key, sample.payload)),
+            Event::Reply { query, sample } => {
+                replies.push((query, sample.key.to_string(), sample.payload))
+            }
             Event::ReplyError { query, payload, .. } => errors.push((query, payload)),
             Event::ReplyFinal { query, timed_out } => {
                 assert!([book, lamp, nobody].contains(&query));

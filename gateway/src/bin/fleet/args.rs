@@ -300,6 +300,70 @@ Examples:
     /// Run a gateway and six emulated nodes, play a job on each, and check every pulse.
     #[cfg(feature = "demo")]
     Demo,
+
+    /// Measure what a gateway and emulated nodes do on this machine.
+    #[cfg(feature = "demo")]
+    #[command(after_help = "\
+intake   jobs accepted durably, jobs executed and records, 1/s
+batches  batches and commands to all nodes, 1/s
+pulse    put of a job to the first pulse, up to 100 nodes
+scale    1,000 nodes that move: processors, memory, a start of 100 together, a stop for all
+Gateway and nodes share this machine's processors with the client that measures.
+
+Examples:
+  cargo run --release -p gateway -- bench
+  cargo run --release -p gateway -- bench scale --nodes 1000")]
+    Bench(Bench),
+
+    /// The nodes of `bench`, in a process of their own.
+    #[cfg(feature = "demo")]
+    #[command(hide = true)]
+    BenchNodes(BenchNodes),
+}
+
+/// What `fleet bench` measures.
+#[cfg(feature = "demo")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum What {
+    Intake,
+    Batches,
+    Pulse,
+    Scale,
+}
+
+#[cfg(feature = "demo")]
+#[derive(Debug, Args)]
+pub(crate) struct Bench {
+    /// What is measured [default: everything]
+    #[arg(value_enum)]
+    pub(crate) what: Vec<What>,
+
+    /// Sizes of the fleet, one after the other.
+    #[arg(long, value_name = "COUNT", value_delimiter = ',', default_value = "1,10,100", value_parser = node_count)]
+    pub(crate) nodes: Vec<usize>,
+
+    /// How long each thing is measured that has no end of its own, s.
+    #[arg(long, value_name = "SECONDS", default_value = "3", value_parser = seconds)]
+    pub(crate) seconds: Duration,
+}
+
+#[cfg(feature = "demo")]
+#[derive(Debug, Args)]
+pub(crate) struct BenchNodes {
+    /// How many.
+    #[arg(value_parser = node_count)]
+    pub(crate) count: usize,
+
+    /// Where they connect.
+    pub(crate) connect: String,
+}
+
+#[cfg(feature = "demo")]
+fn node_count(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count @ 1..=4_000) => Ok(count),
+        _ => Err("1 to 4000".to_owned()),
+    }
 }
 
 #[derive(Debug, Args)]

@@ -339,6 +339,16 @@ impl Link {
         Ok(self.session.declare_subscriber(key).with(channel).await?)
     }
 
+    /// Calls back for each value on a key, as it comes, until what is returned is dropped.
+    #[cfg(feature = "demo")]
+    pub(crate) async fn listen(
+        &self,
+        key: &str,
+        heard: impl Fn(Sample) + Send + Sync + 'static,
+    ) -> Result<Subscriber<()>, Failure> {
+        Ok(self.session.declare_subscriber(key).callback(heard).await?)
+    }
+
     /// Returns the nodes of this pattern that are there, whether or not there is a gateway.
     pub(crate) async fn alive(&self, pattern: &str) -> Result<Vec<NodeId>, Failure> {
         let key = format!("{}/node/{pattern}/alive", self.keys.prefix());

@@ -5,6 +5,8 @@
 
 mod args;
 mod backup;
+#[cfg(feature = "demo")]
+mod bench;
 mod check;
 #[cfg(feature = "demo")]
 mod demo;
@@ -82,6 +84,12 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::UpdateKey(line) => return update::make_key(line, common),
         #[cfg(feature = "demo")]
         Verb::Demo => return demo::demo(common).await,
+        #[cfg(feature = "demo")]
+        Verb::Bench(line) => {
+            return bench::bench(common, &line.what, &line.nodes, line.seconds).await;
+        }
+        #[cfg(feature = "demo")]
+        Verb::BenchNodes(line) => return bench::run_nodes(line.count, &line.connect).await,
         _ => {}
     }
     let link = Link::open(common).await?;
@@ -126,7 +134,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         | Verb::Provision(_)
         | Verb::UpdateKey(_) => unreachable!("done above"),
         #[cfg(feature = "demo")]
-        Verb::Demo => unreachable!("done above"),
+        Verb::Demo | Verb::Bench(_) | Verb::BenchNodes(_) => unreachable!("done above"),
     };
     link.close().await;
     result

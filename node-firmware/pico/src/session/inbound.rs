@@ -13,8 +13,8 @@ use zenoh_protocol::{
     common::imsg,
     core::Reliability,
     network::{
-        Declare, DeclareBody, Interest, Mapping, NetworkBody, NetworkMessage, Push, Request,
-        Response, request::ext::QueryTarget as WireTarget,
+        Declare, DeclareBody, Interest, Mapping, NetworkBody, NetworkMessage, Request, Response,
+        request::ext::QueryTarget as WireTarget,
     },
     transport::{
         Close, FragmentHeader, FrameHeader, InitAck, OpenAck, TransportBody, TransportMessage, id,
@@ -32,7 +32,7 @@ use crate::{
     limits,
     queries::{QueryIn, QueryOut},
     transmit::LANE_CONTROL,
-    wire::{handshake, network},
+    wire::{handshake, network, push::PushMessage},
 };
 
 impl Session {
@@ -66,11 +66,7 @@ impl Session {
         let message_id = imsg::mid(header);
         if let Some((reliability, counts)) = decoding.frame {
             if is_network(message_id) {
-                let message = read_message(rest, reliability)?;
-                if counts {
-                    self.receive(message);
-                }
-                return Ok(());
+                return self.receive_next(rest, message_id, reliability, counts);
             }
             decoding.frame = None;
         }
@@ -99,8 +95,8 @@ impl Session {
                     .receiver
                     .fragment(&header, &payload, &mut self.counters)?;
                 if let Some(bytes) = whole {
-                    let message = read_message(&mut bytes.into(), header.reliability)?;
-                    self.receive(message);
+                    let id = bytes.first().copied().map_or(0, imsg::mid);
+                    self.receive_next(&mut bytes.into(), id, header.reliability, true)?;
                 }
             }
             _ => {
@@ -108,6 +104,28 @@ impl Session {
                     codec.read(&mut *rest).map_err(|_| SessionError::Decode)?;
                 self.receive_transport(message)?;
             }
+        }
+        Ok(())
+    }
+
+    /// Decodes one message of a frame; it does nothing unless it counts.
+    fn receive_next(
+        &mut self,
+        rest: &mut ZSlice,
+        message_id: u8,
+        reliability: Reliability,
+        counts: bool,
+    ) -> Result<(), SessionError> {
+        if message_id == zenoh_protocol::network::id::PUSH {
+            let push = PushMessage::read(rest).map_err(|_| SessionError::Decode)?;
+            if counts {
+                self.receive_push(push);
+            }
+            return Ok(());
+        }
+        let message = read_message(rest, reliability)?;
+        if counts {
+            self.receive(message);
         }
         Ok(())
     }
@@ -181,7 +199,8 @@ impl Session {
 
     fn receive(&mut self, message: NetworkMessage) {
         match message.body {
-            NetworkBody::Push(push) => self.receive_push(push),
+            // It is read apart from all others.
+            NetworkBody::Push(_) => self.count_unknown(),
             NetworkBody::Request(request) => self.receive_request(request),
             NetworkBody::Response(response) => self.receive_response(response),
             NetworkBody::ResponseFinal(last) => match self.queries.take_outbound(last.rid) {
@@ -194,8 +213,11 @@ impl Session {
         }
     }
 
-    fn receive_push(&mut self, push: Push) {
-        let Some(key) = self.peer.resolve(&self.declarations, push.wire_expr) else {
+    fn receive_push(&mut self, push: PushMessage) {
+        let resolved =
+            self.peer
+                .resolve_parts(&self.declarations, push.scope, push.mapping, push.suffix());
+        let Some(key) = resolved else {
             return self.count_unknown();
         };
         let Ok(expr) = keyexpr::new(key.as_str()) else {
@@ -212,7 +234,7 @@ impl Session {
             self.counters.unwanted = self.counters.unwanted.wrapping_add(1);
             return;
         };
-        let sample = network::sample(key, push.ext_qos, push.payload);
+        let sample = network::sample(key, push.qos, push.body);
         for &subscriber in others {
             self.events.push_back(Event::Message {
                 subscriber,
@@ -312,7 +334,7 @@ impl Session {
                 let Some(key) = self.peer.resolve(&self.declarations, response.wire_expr) else {
                     return self.count_unknown();
                 };
-                let sample = network::sample(key, response.ext_qos, reply.payload);
+                let sample = network::sample(key.into(), response.ext_qos, reply.payload);
                 if let Some(sample) = query.consolidate(sample) {
                     self.events.push_back(Event::Reply { query: id, sample });
                 }

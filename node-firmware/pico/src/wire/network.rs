@@ -24,9 +24,12 @@ use zenoh_protocol::{
     },
 };
 
-use crate::event::{
-    Congestion, Consolidation, Encoding, GetOptions, Priority, PutOptions, QueryTarget, Sample,
-    SampleKind,
+use crate::{
+    event::{
+        Congestion, Consolidation, Encoding, GetOptions, Priority, PutOptions, QueryTarget, Sample,
+        SampleKind,
+    },
+    key::Key,
 };
 
 /// A key as it goes onto the wire.
@@ -458,7 +461,7 @@ pub(crate) fn sample_qos<const ID: u8>(ext_qos: QoSType<ID>) -> (Priority, Conge
 }
 
 /// A sample that was received.
-pub(crate) fn sample<const ID: u8>(key: String, ext_qos: QoSType<ID>, body: PushBody) -> Sample {
+pub(crate) fn sample<const ID: u8>(key: Key, ext_qos: QoSType<ID>, body: PushBody) -> Sample {
     let (priority, congestion, express) = sample_qos(ext_qos);
     match body {
         PushBody::Put(put) => Sample {

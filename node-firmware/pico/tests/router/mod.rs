@@ -63,10 +63,19 @@ pub(crate) async fn open_router_with(
 
 /// Opens a client of the zenoh crate.
 pub(crate) async fn open_client(address: SocketAddr) -> zenoh::Session {
+    open_client_with(address, |_| {}).await
+}
+
+/// The same; `configure` may add to its configuration.
+pub(crate) async fn open_client_with(
+    address: SocketAddr,
+    configure: impl FnOnce(&mut zenoh::Config),
+) -> zenoh::Session {
     let mut config = patient_config();
     let mut set = |key: &str, value: &str| config.insert_json5(key, value).unwrap();
     set("mode", r#""client""#);
     set("connect/endpoints", &format!(r#"["tcp/{address}"]"#));
+    configure(&mut config);
     zenoh::open(config).await.unwrap()
 }
 

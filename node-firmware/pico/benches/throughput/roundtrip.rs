@@ -1,0 +1,190 @@
+//! From a put through the router to somebody who puts it back, and through the router again.
+
+use std::{
+    future::{Future, pending},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Instant,
+};
+
+use pico::{PublisherId, Session};
+use tokio::sync::Notify;
+use zenoh::{Wait, qos::CongestionControl};
+
+use crate::{
+    ROUND,
+    router::{PATIENCE, open_router},
+    side::{Side, Work, open_rust, put, run_ours},
+};
+
+/// Round trips at the beginning that are not counted.
+const WARM: usize = 50;
+
+/// Sends one at a time and takes the time until it is back, or sends back what comes.
+struct Player {
+    serves: bool,
+    payload: Vec<u8>,
+    express: bool,
+    sent_at: Option<Instant>,
+    owed: usize,
+    end: Instant,
+    result: Arc<Mutex<Vec<f64>>>,
+    over: Arc<Over>,
+}
+
+/// Told to who sends back, when nobody waits for it any more.
+#[derive(Default)]
+struct Over {
+    is: AtomicBool,
+    comes: Notify,
+}
+
+impl Work for Player {
+    fn begin(&mut self, session: &mut Session) -> Option<PublisherId> {
+        let (own, other) = keys(self.serves);
+        session.declare_subscriber(other).expect("a key");
+        Some(session.declare_publisher(own).expect("a key"))
+    }
+
+    fn received(&mut self) {
+        if let Some(sent_at) = self.sent_at.take() {
+            let took_us = sent_at.elapsed().as_secs_f64() * 1e6;
+            self.result.lock().expect("no panic").push(took_us);
+        } else {
+            self.owed += 1;
+        }
+    }
+
+    fn speak(&mut self, session: &mut Session, publisher: PublisherId) {
+        if self.serves {
+            if self.sent_at.is_none() {
+                self.sent_at = Some(Instant::now());
+                put(session, publisher, &self.payload, self.express);
+            }
+        } else {
+            while self.owed > 0 && put(session, publisher, &self.payload, self.express) {
+                self.owed -= 1;
+            }
+        }
+    }
+
+    fn over(&self) -> impl Future<Output = ()> {
+        let left = self.end.saturating_duration_since(Instant::now());
+        let serves = self.serves;
+        let over = self.over.clone();
+        async move {
+            if !serves {
+                over.comes.notified().await;
+            } else if left.is_zero() {
+                pending::<()>().await;
+            } else {
+                tokio::time::sleep(left).await;
+            }
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        if self.serves {
+            return Instant::now() >= self.end;
+        }
+        self.over.is.load(Ordering::Relaxed)
+    }
+}
+
+/// The keys of who serves and who returns, own one first.
+fn keys(serves: bool) -> (&'static str, &'static str) {
+    if serves {
+        ("there", "back")
+    } else {
+        ("back", "there")
+    }
+}
+
+/// Median of a round trip, µs.
+pub(crate) async fn measure(side: Side, payload_bytes: usize, express: bool) -> f64 {
+    let (router, address) = open_router().await;
+    let result = Arc::new(Mutex::new(Vec::new()));
+    let mut times = match side {
+        Side::Ours(batch_bytes) => {
+            let over = Arc::<Over>::default();
+            let player = |serves| Player {
+                serves,
+                payload: vec![0; payload_bytes],
+                express,
+                sent_at: None,
+                owed: 0,
+                end: Instant::now() + ROUND,
+                result: result.clone(),
+                over: over.clone(),
+            };
+            let returns = run_ours(address, batch_bytes, player(false));
+            let serves = run_ours(address, batch_bytes, player(true));
+            let threads = tokio::task::spawn_blocking(move || {
+                serves.join().expect("a side panicked");
+                over.is.store(true, Ordering::Relaxed);
+                over.comes.notify_one();
+                returns.join().expect("a side panicked");
+            });
+            threads.await.expect("joined");
+            std::mem::take(&mut *result.lock().expect("no panic"))
+        }
+        Side::Rust(batch_bytes) => {
+            let returns = open_rust(address, batch_bytes).await;
+            let serves = open_rust(address, batch_bytes).await;
+            let echo = publisher(&returns, keys(false).0, express);
+            let payload = vec![0u8; payload_bytes];
+            let answer = payload.clone();
+            let echoing = returns
+                .declare_subscriber(keys(true).0)
+                .callback(move |_| echo.put(answer.as_slice()).wait().expect("a put"))
+                .await;
+            let echoing = echoing.expect("a subscriber");
+            let (came, comes) = std::sync::mpsc::channel();
+            let listening = serves
+                .declare_subscriber(keys(true).1)
+                .callback(move |_| came.send(()).expect("somebody waits"))
+                .await;
+            let listening = listening.expect("a subscriber");
+            let there = publisher(&serves, keys(true).0, express);
+            let times = tokio::task::spawn_blocking(move || {
+                // Until both sides know of each other a put may reach nobody.
+                while !there.matching_status().wait().expect("open").matching() {
+                    std::thread::yield_now();
+                }
+                let end = Instant::now() + ROUND;
+                let mut times = Vec::new();
+                while Instant::now() < end {
+                    let sent_at = Instant::now();
+                    there.put(payload.as_slice()).wait().expect("a put");
+                    if comes.recv_timeout(PATIENCE).is_err() {
+                        panic!("nothing comes back");
+                    }
+                    times.push(sent_at.elapsed().as_secs_f64() * 1e6);
+                }
+                times
+            });
+            let times = times.await.expect("joined");
+            drop((echoing, listening));
+            times
+        }
+    };
+    router.close().await.expect("the router closes");
+    times.drain(..WARM.min(times.len()));
+    times.sort_by(f64::total_cmp);
+    times.get(times.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn publisher<'a>(
+    session: &zenoh::Session,
+    key: &'static str,
+    express: bool,
+) -> zenoh::pubsub::Publisher<'a> {
+    session
+        .declare_publisher(key)
+        .congestion_control(CongestionControl::Block)
+        .express(express)
+        .wait()
+        .expect("a publisher")
+}
