@@ -230,7 +230,13 @@ fn a_part_in_gcode_is_checked_made_and_accounted_for() {
     );
 
     let ran = plant.types(true, &["trace", "part-7"]);
-    let events = ["queued for left", "sent: ", "succeeded [0, 0, 0]"];
+    let events = [
+        "queued for left",
+        "sent: ",
+        "first pulse",
+        "last pulse is out",
+        "succeeded [0, 0, 0]",
+    ];
     let places: Vec<Option<usize>> = events.iter().map(|event| ran.out.find(event)).collect();
     assert!(
         places.iter().all(Option::is_some) && places.is_sorted(),

@@ -242,6 +242,7 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Status)),
             (&self.main, Door::Node(NodeTopic::Ack)),
             (&self.main, Door::Node(NodeTopic::Report)),
+            (&self.main, Door::Node(NodeTopic::Trace)),
             (&self.swift, Door::Node(NodeTopic::Stop)),
             // By the way of the stop, so that it stays behind the stop that its client sent before.
             (&self.swift, Door::Node(NodeTopic::Release)),

@@ -103,7 +103,7 @@ pub struct Arrangement {
 }
 
 /// The way of a job, as far as it has come.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Story {
     /// The job.
     pub job: JobId,
@@ -119,6 +119,23 @@ pub struct Story {
     pub waiting: Option<Vec<JobId>>,
     /// When it came into which state, RFC 3339, first things first.
     pub steps: Vec<(String, JobState)>,
+    /// What its nodes have told of it, first things first.
+    pub told: Vec<ToldStep>,
+}
+
+/// What a node has told of a job.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ToldStep {
+    /// When, on the gateway's clock, RFC 3339.
+    pub at: String,
+    /// How far that may be wrong, µs; `null`: the node's clock was not known.
+    pub error_us: Option<f64>,
+    /// Who.
+    pub node: NodeId,
+    /// What, in words.
+    pub event: String,
+    /// Events before it that were not heard.
+    pub missed: u32,
 }
 
 /// What a job waits for: kept with it.
@@ -380,6 +397,15 @@ impl Fleet {
             .node
             .filter(|_| entry.record.state == JobState::Queued);
         let waiting = waiting.and_then(|node| self.nodes.get(&node));
+        let mut told = entry.told.clone();
+        told.sort_by_key(|told| told.at);
+        let told = told.iter().map(|told| ToldStep {
+            at: told.at.to_string(),
+            error_us: told.error_us,
+            node: told.node,
+            event: told.what.to_string(),
+            missed: told.missed,
+        });
         let story = Story {
             job: *id,
             node: entry.record.node,
@@ -392,6 +418,7 @@ impl Fleet {
                 .iter()
                 .map(|step| (step.at.to_string(), step.state))
                 .collect(),
+            told: told.collect(),
         };
         Some(Effect::Reply {
             to,

@@ -46,6 +46,7 @@ use keys::{
     pace::PaceMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
     start::StartMessage,
+    trace::TraceEvent,
     version,
 };
 use node::{Node, Turn, Wish};
@@ -331,6 +332,12 @@ impl Fleet {
                 Ok(message) => {
                     self.with_node(id, effects, |node, turn| node.handle_pace(message, turn));
                 }
+                Err(_) => self.ignored_count += 1,
+            },
+            NodeTopic::Trace => match version::decode::<TraceEvent>(payload) {
+                Ok(event) => self.with_node(id, effects, |node, turn| {
+                    node.handle_trace(&event, turn);
+                }),
                 Err(_) => self.ignored_count += 1,
             },
             NodeTopic::Report => match ScriptReport::decode(payload) {

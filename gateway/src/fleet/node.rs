@@ -216,6 +216,8 @@ pub struct Node {
     stop: Repeat,
     release: Option<ReleaseWish>,
     pace: pace::Pace,
+    /// Its boot and the number of the next event that it tells.
+    next_event: Option<(u32, u32)>,
     clock: ClockTrack,
     probe_at: Option<FleetMicros>,
     next_probe: u32,
@@ -250,6 +252,7 @@ impl Node {
             stop: Repeat::default(),
             release: None,
             pace: pace::Pace::default(),
+            next_event: None,
             clock: ClockTrack::new(),
             probe_at: None,
             next_probe: 1,
