@@ -498,6 +498,7 @@ fn reply_of(event: &Event) -> Option<ReplyTo> {
         Event::GetJobs { reply, .. }
         | Event::GetNodes { reply, .. }
         | Event::ManageNodes { reply, .. }
+        | Event::Keep { reply, .. }
         | Event::ManageJob { reply, .. } => Some(*reply),
         Event::SubmitWith { submit, .. } => reply_of(submit),
         Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,

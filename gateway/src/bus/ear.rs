@@ -16,6 +16,7 @@ use super::{
 use crate::{
     fleet::{
         event::{Event, ReplyTo},
+        kept::Kind,
         manage::{NodeWishes, OrderWishes},
     },
     job::parse::wish_from,
@@ -140,6 +141,8 @@ pub(super) enum Door {
     ManageNode,
     /// `PREFIX/manage/job/*`
     ManageJob,
+    /// `PREFIX/manage/template/*` and `…/schedule/*`
+    Keep(Kind),
 }
 
 impl Door {
@@ -150,7 +153,7 @@ impl Door {
             Self::GroupJob => keys.every_group_job(),
             Self::Job => keys.every_job(),
             Self::JobCancel => keys.every_job_cancel(),
-            Self::LabelJob | Self::ManageNode | Self::ManageJob => {
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Keep(_) => {
                 let (before, behind) = self.around_name();
                 return format!("{}{before}*{behind}", keys.prefix());
             }
@@ -163,13 +166,18 @@ impl Door {
         match self {
             Self::LabelJob => ("/manage/label/", "/job"),
             Self::ManageNode => ("/manage/node/", ""),
+            Self::Keep(Kind::Template) => ("/manage/template/", ""),
+            Self::Keep(Kind::Schedule) => ("/manage/schedule/", ""),
             _ => ("/manage/job/", ""),
         }
     }
 
     /// Returns the name chunk of a key of this kind; `None`: it only includes such keys.
     fn name<'k>(self, keys: &Keys, key: &'k str) -> Option<&'k str> {
-        if matches!(self, Self::LabelJob | Self::ManageNode | Self::ManageJob) {
+        if matches!(
+            self,
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Keep(_)
+        ) {
             let (before, behind) = self.around_name();
             let name = key.strip_prefix(keys.prefix())?.strip_prefix(before)?;
             let name = name.strip_suffix(behind)?;
@@ -243,7 +251,7 @@ impl Ear {
                 Admission::Taken => {}
                 Admission::Refused { tell } => return self.refuse_put(pattern, tell),
             },
-            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob => {}
+            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob | Door::Keep(_) => {}
         }
         let job = |to| {
             let payload = Payload(sample.payload().clone());
@@ -284,7 +292,7 @@ impl Ear {
                 let at = (topic == NodeTopic::Clock).then_some(at);
                 self.inbox.event(Arrived { event, at })
             }
-            Door::Job | Door::ManageNode | Door::ManageJob => Ok(()),
+            Door::Job | Door::ManageNode | Door::ManageJob | Door::Keep(_) => Ok(()),
         };
         // Full: counted by the inbox, and a put has no answer.
         let _ = taken;
@@ -333,6 +341,12 @@ impl Ear {
             Door::ManageJob => self.inbox.event(Event::ManageJob {
                 job: pattern,
                 request: OrderWishes::from_json(&asked(query)),
+                reply: to,
+            }),
+            Door::Keep(kind) => self.inbox.event(Event::Keep {
+                kind,
+                pattern,
+                payload: asked(query),
                 reply: to,
             }),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),

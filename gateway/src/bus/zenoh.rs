@@ -24,7 +24,10 @@ use super::{
 };
 use crate::{
     config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
-    fleet::event::{Lane, ReplyTo},
+    fleet::{
+        event::{Lane, ReplyTo},
+        kept::Kind,
+    },
     journal::copy::Copier,
     security::{Home, HomeError},
 };
@@ -276,6 +279,8 @@ impl Bus {
             (&self.main, Door::LabelJob),
             (&self.main, Door::ManageNode),
             (&self.main, Door::ManageJob),
+            (&self.main, Door::Keep(Kind::Template)),
+            (&self.main, Door::Keep(Kind::Schedule)),
         ] {
             let ear = ear(door);
             let queryable = session

@@ -64,6 +64,8 @@ pub struct NodeWishes {
     pub unlabel: Vec<GroupId>,
     /// `{"reason":"…"}` begins a maintenance, `false` ends it.
     pub maintenance: Option<MaintenanceWish>,
+    /// `true`: jobs are taken and wait, the one that runs ends; `false`: they go on.
+    pub hold_queue: Option<bool>,
 }
 
 /// Begins or ends a maintenance.
@@ -98,6 +100,9 @@ pub struct Arrangement {
     pub labels: BTreeSet<GroupId>,
     /// Why it takes no jobs.
     pub maintenance: Option<String>,
+    /// Jobs are taken, and none begins.
+    #[serde(skip_serializing_if = "is_false")]
+    pub queue_held: bool,
     /// The jobs that wait, in the order in which they would be taken.
     pub waiting: Vec<JobId>,
 }
@@ -150,6 +155,11 @@ pub struct Turnplace {
     /// When it may begin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_before: Option<FleetMicros>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
@@ -433,6 +443,7 @@ impl Fleet {
             node: *id,
             labels: node.facts().labels.clone(),
             maintenance: node.facts().maintenance.clone(),
+            queue_held: node.facts().queue_held,
             waiting: node.waiting().collect(),
         };
         Effect::Reply {

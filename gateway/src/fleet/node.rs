@@ -81,6 +81,9 @@ pub struct Facts {
     /// Why it is given no jobs.
     #[serde(default)]
     pub maintenance: Option<String>,
+    /// It takes jobs and begins none.
+    #[serde(default)]
+    pub queue_held: bool,
 }
 
 /// A stop latch as it was seen.
@@ -337,6 +340,9 @@ impl Node {
             Some(MaintenanceWish::Because { reason }) => {
                 self.facts.maintenance = Some(reason.clone());
             }
+        }
+        if let Some(held) = wishes.hold_queue {
+            self.facts.queue_held = held;
         }
         self.store(turn);
     }
