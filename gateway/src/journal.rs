@@ -6,6 +6,7 @@
 //!   requests  job  → what a client asked for, until the job is final
 //!   jobs      job  → its entry
 //!   nodes     node → its facts
+//!   kept      template/NAME, schedule/NAME → what operators keep; not in stores of before
 //! ```
 //!
 //! Promises: when [`Journal::commit`] returns, all its writes are on disk; when it fails or the
@@ -33,7 +34,10 @@ use crate::fleet::{
     Stored,
     event::{Table, Write},
 };
-use redb::{Database, DatabaseError, Durability, ReadableDatabase, ReadableTable, TableDefinition};
+use redb::{
+    Database, DatabaseError, Durability, ReadableDatabase, ReadableTable, TableDefinition,
+    TableError, TableHandle as _,
+};
 use std::{
     io::Read as _,
     path::{Path, PathBuf},
@@ -47,6 +51,7 @@ const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
 const REQUESTS: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("requests");
 const JOBS: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("jobs");
 const NODES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("nodes");
+const KEPT: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("kept");
 
 const FORMAT_KEY: &str = "format";
 
@@ -204,7 +209,7 @@ impl Journal {
         let is_new = transaction.list_tables()?.next().is_none();
         if is_new {
             transaction.open_table(META)?.insert(FORMAT_KEY, FORMAT)?;
-            for table in [REQUESTS, JOBS, NODES] {
+            for table in [REQUESTS, JOBS, NODES, KEPT] {
                 transaction.open_table(table)?;
             }
             transaction.commit()?;
@@ -234,6 +239,7 @@ impl Journal {
             let mut requests = transaction.open_table(REQUESTS)?;
             let mut jobs = transaction.open_table(JOBS)?;
             let mut nodes = transaction.open_table(NODES)?;
+            let mut kept = transaction.open_table(KEPT)?;
             for write in writes {
                 let (table, key) = match write {
                     Write::Put { table, key, .. } | Write::Remove { table, key } => (table, key),
@@ -242,6 +248,7 @@ impl Journal {
                     Table::Requests => &mut requests,
                     Table::Jobs => &mut jobs,
                     Table::Nodes => &mut nodes,
+                    Table::Kept => &mut kept,
                 };
                 match write {
                     Write::Put { value, .. } => {
@@ -276,7 +283,13 @@ enum Format {
 fn read(database: &impl ReadableDatabase) -> Result<Stored, redb::Error> {
     let transaction = database.begin_read()?;
     let all = |definition: TableDefinition<'_, &str, &[u8]>| -> Result<Vec<(String, Vec<u8>)>, redb::Error> {
-        let table = transaction.open_table(definition)?;
+        let table = match transaction.open_table(definition) {
+            // A gateway that knew nothing of it has written the store.
+            Err(TableError::TableDoesNotExist(_)) if definition.name() == KEPT.name() => {
+                return Ok(Vec::new());
+            }
+            table => table?,
+        };
         let mut rows = Vec::new();
         for row in table.iter()? {
             let (key, value) = row?;
@@ -288,6 +301,7 @@ fn read(database: &impl ReadableDatabase) -> Result<Stored, redb::Error> {
         requests: all(REQUESTS)?,
         jobs: all(JOBS)?,
         nodes: all(NODES)?,
+        kept: all(KEPT)?,
     })
 }
 
@@ -376,6 +390,7 @@ mod tests {
             put(Table::Nodes, "left", b"3"),
             put(Table::Jobs, "a", b"4"),
             put(Table::Requests, "a", b"5"),
+            put(Table::Kept, "template/a", b"6"),
         ];
         journal.commit(&writes).expect("commits");
         let remove = |key: &str| Write::Remove {
@@ -391,6 +406,7 @@ mod tests {
             requests: vec![("a".into(), b"5".to_vec())],
             jobs: vec![("a".into(), b"4".to_vec())],
             nodes: vec![("left".into(), b"3".to_vec())],
+            kept: vec![("template/a".into(), b"6".to_vec())],
         };
         assert_eq!(stored, expected);
     }

@@ -499,6 +499,7 @@ fn reply_of(event: &Event) -> Option<ReplyTo> {
         | Event::GetNodes { reply, .. }
         | Event::GetLinks { reply, .. }
         | Event::ManageNodes { reply, .. }
+        | Event::Keep { reply, .. }
         | Event::ManageJob { reply, .. } => Some(*reply),
         Event::SubmitWith { submit, .. } => reply_of(submit),
         Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,

@@ -5,6 +5,7 @@ mod rig;
 use gateway::{
     fleet::{
         event::Event,
+        kept::Kind,
         manage::{JobWishes, LABELS_MAX, NodeWishes, OrderWishes},
     },
     job::parse,
@@ -348,4 +349,117 @@ fn wishes_that_cannot_be_meant_are_refused() {
     let answers = manage(&mut rig, "nobody", &Value::Null);
     assert_eq!(error_of(&answers[0]).0, "unknown_node");
     assert_eq!(manage(&mut rig, "*", &Value::Null).len(), 1);
+}
+
+fn keep(rig: &mut Rig, kind: Kind, name: &str, wish: &Value) -> Vec<Value> {
+    let reply = rig.ask();
+    let payload = match wish {
+        Value::Null => Vec::new(),
+        wish => wish.to_string().into_bytes(),
+    };
+    rig.event(Event::Keep {
+        kind,
+        pattern: name.to_owned(),
+        payload,
+        reply,
+    });
+    rig.answers(reply)
+}
+
+fn short() -> Value {
+    json!({"commands": [{"move": {"axis": 0, "delay_us": 100, "steps": 5}}]})
+}
+
+#[test]
+fn a_held_queue_takes_jobs_and_begins_none_also_over_a_restart() {
+    let mut rig = Rig::with_left();
+    let running = rig.accept("left", &moves("running", 10, 1_000));
+    let next = rig.accept("left", &moves("next", 2, 100));
+    let answers = manage(&mut rig, "left", &json!({"hold_queue": true}));
+    assert_eq!(answers[0]["queue_held"], true);
+    let more = rig.accept("left", &moves("more", 2, 100));
+    assert_eq!(
+        rig.finish(&running, 20 * S),
+        JobState::Succeeded,
+        "what runs ends"
+    );
+    rig.restart_gateway();
+    rig.run(5 * S);
+    assert_eq!(rig.state(&next), JobState::Queued);
+    let answers = manage(&mut rig, "left", &json!({"hold_queue": false}));
+    assert!(answers[0].get("queue_held").is_none(), "{answers:?}");
+    assert_eq!(rig.finish(&next, 5 * S), JobState::Succeeded);
+    assert_eq!(rig.finish(&more, 5 * S), JobState::Succeeded);
+}
+
+#[test]
+fn templates_are_kept_shown_and_removed_and_outlive_the_gateway() {
+    let mut rig = Rig::with_left();
+    let drill = json!({"text": "G1 Z-${depth}", "format": "gcode", "about": "a hole"});
+    let answers = keep(&mut rig, Kind::Template, "drill", &drill);
+    assert_eq!(answers[0]["name"], "drill");
+    keep(
+        &mut rig,
+        Kind::Template,
+        "clean",
+        &json!({"text": "wait_idle()", "format": "lua"}),
+    );
+    rig.restart_gateway();
+    let all = keep(&mut rig, Kind::Template, "*", &Value::Null);
+    let names: Vec<&Value> = all.iter().map(|template| &template["name"]).collect();
+    assert_eq!(names, ["clean", "drill"]);
+    assert_eq!(all[1]["text"], "G1 Z-${depth}");
+    keep(&mut rig, Kind::Template, "drill", &json!({"remove": true}));
+    for (name, wish) in [("drill", Value::Null), ("drill", json!({"remove": true}))] {
+        let answers = keep(&mut rig, Kind::Template, name, &wish);
+        assert_eq!(error_of(&answers[0]).1, "no template `drill`");
+    }
+    let answers = keep(
+        &mut rig,
+        Kind::Template,
+        "x",
+        &json!({"text": "", "format": "basic"}),
+    );
+    assert_eq!(error_of(&answers[0]).1, "format: json, lua or gcode");
+    let answers = keep(&mut rig, Kind::Template, "No!", &drill);
+    assert_eq!(error_of(&answers[0]).0, "bad_id");
+}
+
+#[test]
+fn a_schedule_hands_in_its_job_at_its_times_and_leaves_out_what_nobody_was_there_for() {
+    let mut rig = Rig::with_left();
+    let wish = json!({"target": "left", "job": short(), "every_s": 60});
+    let answers = keep(&mut rig, Kind::Schedule, "warm", &wish);
+    assert_eq!(answers[0]["done"], 0, "{answers:?}");
+    let count = |rig: &Rig| {
+        rig.fleet
+            .jobs()
+            .filter(|job| job.id().as_str().starts_with("warm-"))
+            .count()
+    };
+    rig.run(59 * S);
+    assert_eq!(count(&rig), 0);
+    rig.run(122 * S);
+    assert_eq!(count(&rig), 3);
+    assert!(
+        rig.fleet
+            .jobs()
+            .all(|job| job.state() == JobState::Succeeded)
+    );
+    // It is dead for five of its times.
+    rig.dead = true;
+    rig.run(300 * S);
+    rig.restart_gateway();
+    assert_eq!(count(&rig), 3, "nothing is made up for");
+    rig.run(62 * S);
+    assert_eq!(count(&rig), 4);
+    let shown = keep(&mut rig, Kind::Schedule, "warm", &Value::Null);
+    assert_eq!(
+        (&shown[0]["done"], &shown[0]["missed"]),
+        (&json!(4), &json!(5)),
+        "{shown:?}"
+    );
+    keep(&mut rig, Kind::Schedule, "warm", &json!({"remove": true}));
+    rig.run(300 * S);
+    assert_eq!(count(&rig), 4);
 }

@@ -230,7 +230,13 @@ fn a_part_in_gcode_is_checked_made_and_accounted_for() {
     );
 
     let ran = plant.types(true, &["trace", "part-7"]);
-    let events = ["queued for left", "sent: ", "succeeded [0, 0, 0]"];
+    let events = [
+        "queued for left",
+        "sent: ",
+        "first pulse",
+        "last pulse is out",
+        "succeeded [0, 0, 0]",
+    ];
     let places: Vec<Option<usize>> = events.iter().map(|event| ran.out.find(event)).collect();
     assert!(
         places.iter().all(Option::is_some) && places.is_sorted(),
@@ -663,5 +669,68 @@ fn what_goes_into_a_pipe_has_no_colours_and_no_bars_and_keeps_its_width() {
         .expect("started");
     let text = String::from_utf8(narrow.stdout).expect("UTF-8");
     assert!(text.contains(&"n".repeat(32)), "a name is not cut: {text}");
+    nodes.end();
+}
+
+#[test]
+fn templates_schedules_and_queues_are_kept_by_the_gateway() {
+    let plant = Plant::start(&[]);
+    let nodes = Nodes::start(&plant, &["left"]);
+    let types = |line: &[&str]| plant.types(true, line);
+    let step = r#"{"commands":[{"move":{"axis":0,"delay_us":100,"steps":${steps}}}]}"#;
+    let file = plant.file("step.json", step);
+    let put = ["template", "put", "step", &file, "--about", "some steps"];
+    assert_eq!(types(&put).out, "template step kept\n");
+    let ran = types(&["template", "list"]);
+    for word in ["step", "json", "steps", "some steps"] {
+        assert!(ran.out.contains(word), "{}", ran.out);
+    }
+    assert_eq!(types(&["template", "show", "step"]).out.trim_end(), step);
+    let by = ["submit", "--template", "step", "--node", "left"];
+    let ran = plant.types(false, &by);
+    assert!(
+        ran.err.contains("template step: ${steps} has no value"),
+        "{}",
+        ran.err
+    );
+    let ran = types(&[&by[..], &["--set", "steps=7", "--id", "seven", "--wait"]].concat());
+    assert!(ran.out.contains("succeeded"), "{}", ran.out);
+
+    let add = ["schedule", "add", "warm", "--template", "step", "--set"];
+    let rest = ["steps=5", "--node", "left", "--every", "10m"];
+    let ran = types(&[&add[..], &rest].concat());
+    assert!(
+        ran.out.starts_with("schedule warm kept; next at 20"),
+        "{}",
+        ran.out
+    );
+    let ran = types(&["schedule", "list"]);
+    for word in ["warm", "left", "10m"] {
+        assert!(ran.out.contains(word), "{}", ran.out);
+    }
+    let gcode = plant.file("a.gcode", "G0 X1\n");
+    let line = [
+        "schedule", "add", "g", &gcode, "--node", "left", "--daily", "05:00",
+    ];
+    let ran = plant.types(false, &line);
+    assert!(ran.err.contains("fleet check --commands"), "{}", ran.err);
+    assert_eq!(
+        types(&["schedule", "delete", "warm"]).out,
+        "schedule warm deleted\n"
+    );
+    assert_eq!(types(&["schedule", "list"]).out, "no schedules\n");
+    types(&["template", "delete", "step"]);
+    let ran = plant.types(false, &["template", "show", "step"]);
+    assert!(ran.err.contains("no template `step`"), "{}", ran.err);
+
+    let ran = types(&["queue", "left", "hold"]);
+    assert!(ran.out.contains("held"), "{}", ran.out);
+    let job = plant.file("seven.json", &step.replace("${steps}", "7"));
+    types(&["submit", &job, "--node", "left", "--id", "waits"]);
+    let ran = types(&["jobs", "--state", "queued"]);
+    assert!(ran.out.contains("waits"), "{}", ran.out);
+    types(&["queue", "left", "resume"]);
+    let ran = types(&["submit", &job, "--node", "left", "--id", "after", "--wait"]);
+    assert!(ran.out.contains("succeeded"), "{}", ran.out);
     nodes.end();
 }

@@ -41,6 +41,7 @@ pub mod start;
 pub mod status;
 pub mod stop;
 pub mod topics;
+pub mod trace;
 pub mod units;
 pub mod update;
 pub mod version;

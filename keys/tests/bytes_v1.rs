@@ -13,6 +13,7 @@ use keys::{
     pace::PaceMessage,
     start::{BarrierName, StartMessage},
     status::{DecodeError, FaultCode},
+    trace::{TraceEvent, TraceWord},
     version,
 };
 use serde::{Serialize, de::DeserializeOwned};
@@ -539,4 +540,32 @@ fn commands_of_c_and_d_have_their_bytes_and_survive_their_words() {
         "neither on nor off"
     );
     assert!(Command::from_words(&[14, 0, 0, 0, 0, 0, 0, 0]).is_err());
+}
+
+#[test]
+fn events_of_a_job_have_their_bytes() {
+    let event = |what| TraceEvent {
+        boot: 7,
+        number: 300,
+        at: LocalMicros(1_000),
+        job: JobId::new("j").ok(),
+        what,
+    };
+    let cases = [
+        (TraceWord::Taken, "00"),
+        (TraceWord::FirstPulse, "01"),
+        (TraceWord::Ended, "02"),
+        (TraceWord::Held, "03"),
+        (TraceWord::Resumed, "04"),
+        (TraceWord::Speed { percent: 50 }, "05 32"),
+        (TraceWord::StopTaken(StopReason::Client), "06 00"),
+        (TraceWord::Stopped(StopReason::Cancel), "07 05"),
+        (TraceWord::LinkLost, "08"),
+        (TraceWord::Fault(FaultCode::UNDERRUN), "09 ca 01"),
+        (TraceWord::ScriptEnded, "0a"),
+        (TraceWord::ScriptFailed, "0b"),
+    ];
+    for (what, bytes) in cases {
+        check(event(what), &format!("01 07 ac 02 e8 07 01 01 6a {bytes}"));
+    }
 }

@@ -16,6 +16,7 @@ use super::{
 use crate::{
     fleet::{
         event::{Event, ReplyTo},
+        kept::Kind,
         manage::{NodeWishes, OrderWishes},
     },
     job::parse::wish_from,
@@ -142,6 +143,8 @@ pub(super) enum Door {
     ManageJob,
     /// `PREFIX/manage/link/*`
     Links,
+    /// `PREFIX/manage/template/*` and `…/schedule/*`
+    Keep(Kind),
 }
 
 impl Door {
@@ -152,7 +155,7 @@ impl Door {
             Self::GroupJob => keys.every_group_job(),
             Self::Job => keys.every_job(),
             Self::JobCancel => keys.every_job_cancel(),
-            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links => {
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links | Self::Keep(_) => {
                 let (before, behind) = self.around_name();
                 return format!("{}{before}*{behind}", keys.prefix());
             }
@@ -166,6 +169,8 @@ impl Door {
             Self::LabelJob => ("/manage/label/", "/job"),
             Self::ManageNode => ("/manage/node/", ""),
             Self::Links => ("/manage/link/", ""),
+            Self::Keep(Kind::Template) => ("/manage/template/", ""),
+            Self::Keep(Kind::Schedule) => ("/manage/schedule/", ""),
             _ => ("/manage/job/", ""),
         }
     }
@@ -174,7 +179,7 @@ impl Door {
     fn name<'k>(self, keys: &Keys, key: &'k str) -> Option<&'k str> {
         if matches!(
             self,
-            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links
+            Self::LabelJob | Self::ManageNode | Self::ManageJob | Self::Links | Self::Keep(_)
         ) {
             let (before, behind) = self.around_name();
             let name = key.strip_prefix(keys.prefix())?.strip_prefix(before)?;
@@ -249,7 +254,12 @@ impl Ear {
                 Admission::Taken => {}
                 Admission::Refused { tell } => return self.refuse_put(pattern, tell),
             },
-            Door::Node(_) | Door::Job | Door::ManageNode | Door::ManageJob | Door::Links => {}
+            Door::Node(_)
+            | Door::Job
+            | Door::ManageNode
+            | Door::ManageJob
+            | Door::Links
+            | Door::Keep(_) => {}
         }
         let job = |to| {
             let payload = Payload(sample.payload().clone());
@@ -290,7 +300,7 @@ impl Ear {
                 let at = (topic == NodeTopic::Clock).then_some(at);
                 self.inbox.event(Arrived { event, at })
             }
-            Door::Job | Door::ManageNode | Door::ManageJob | Door::Links => Ok(()),
+            Door::Job | Door::ManageNode | Door::ManageJob | Door::Links | Door::Keep(_) => Ok(()),
         };
         // Full: counted by the inbox, and a put has no answer.
         let _ = taken;
@@ -342,6 +352,12 @@ impl Ear {
                 reply: to,
             }),
             Door::Links => self.inbox.event(Event::GetLinks { pattern, reply: to }),
+            Door::Keep(kind) => self.inbox.event(Event::Keep {
+                kind,
+                pattern,
+                payload: asked(query),
+                reply: to,
+            }),
             Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
             Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
             Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {

@@ -24,7 +24,10 @@ use super::{
 };
 use crate::{
     config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
-    fleet::event::{Lane, ReplyTo},
+    fleet::{
+        event::{Lane, ReplyTo},
+        kept::Kind,
+    },
     journal::copy::Copier,
     security::{Home, HomeError},
 };
@@ -242,6 +245,7 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Status)),
             (&self.main, Door::Node(NodeTopic::Ack)),
             (&self.main, Door::Node(NodeTopic::Report)),
+            (&self.main, Door::Node(NodeTopic::Trace)),
             (&self.swift, Door::Node(NodeTopic::Stop)),
             // By the way of the stop, so that it stays behind the stop that its client sent before.
             (&self.swift, Door::Node(NodeTopic::Release)),
@@ -276,6 +280,8 @@ impl Bus {
             (&self.main, Door::ManageNode),
             (&self.main, Door::ManageJob),
             (&self.main, Door::Links),
+            (&self.main, Door::Keep(Kind::Template)),
+            (&self.main, Door::Keep(Kind::Schedule)),
         ] {
             let ear = ear(door);
             let queryable = session

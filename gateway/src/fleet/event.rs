@@ -8,6 +8,7 @@
 //! everything.
 
 use super::{
+    kept::Kind,
     manage::{JobWishes, NodeWishes, OrderWishes},
     node::Wish,
 };
@@ -68,6 +69,17 @@ pub enum Event {
         job: String,
         /// What to change.
         request: Result<OrderWishes, JobError>,
+        /// Who waits.
+        reply: ReplyTo,
+    },
+    /// A get on `PREFIX/manage/template/PATTERN` or `…/schedule/PATTERN`.
+    Keep {
+        /// Which of both.
+        kind: Kind,
+        /// A name, or a wild chunk.
+        pattern: String,
+        /// What to keep, or what to do with it.
+        payload: Vec<u8>,
         /// Who waits.
         reply: ReplyTo,
     },
@@ -221,4 +233,6 @@ pub enum Table {
     Jobs,
     /// Node name → what stays true of a node while it is away.
     Nodes,
+    /// `template/NAME` and `schedule/NAME` → see [`super::kept`].
+    Kept,
 }

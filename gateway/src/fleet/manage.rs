@@ -65,6 +65,8 @@ pub struct NodeWishes {
     pub unlabel: Vec<GroupId>,
     /// `{"reason":"…"}` begins a maintenance, `false` ends it.
     pub maintenance: Option<MaintenanceWish>,
+    /// `true`: jobs are taken and wait, the one that runs ends; `false`: they go on.
+    pub hold_queue: Option<bool>,
 }
 
 /// Begins or ends a maintenance.
@@ -99,12 +101,15 @@ pub struct Arrangement {
     pub labels: BTreeSet<GroupId>,
     /// Why it takes no jobs.
     pub maintenance: Option<String>,
+    /// Jobs are taken, and none begins.
+    #[serde(skip_serializing_if = "is_false")]
+    pub queue_held: bool,
     /// The jobs that wait, in the order in which they would be taken.
     pub waiting: Vec<JobId>,
 }
 
 /// The way of a job, as far as it has come.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Story {
     /// The job.
     pub job: JobId,
@@ -120,6 +125,23 @@ pub struct Story {
     pub waiting: Option<Vec<JobId>>,
     /// When it came into which state, RFC 3339, first things first.
     pub steps: Vec<(String, JobState)>,
+    /// What its nodes have told of it, first things first.
+    pub told: Vec<ToldStep>,
+}
+
+/// What a node has told of a job.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ToldStep {
+    /// When, on the gateway's clock, RFC 3339.
+    pub at: String,
+    /// How far that may be wrong, µs; `null`: the node's clock was not known.
+    pub error_us: Option<f64>,
+    /// Who.
+    pub node: NodeId,
+    /// What, in words.
+    pub event: String,
+    /// Events before it that were not heard.
+    pub missed: u32,
 }
 
 /// What a job waits for: kept with it.
@@ -134,6 +156,11 @@ pub struct Turnplace {
     /// When it may begin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_before: Option<FleetMicros>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
@@ -381,6 +408,15 @@ impl Fleet {
             .node
             .filter(|_| entry.record.state == JobState::Queued);
         let waiting = waiting.and_then(|node| self.nodes.get(&node));
+        let mut told = entry.told.clone();
+        told.sort_by_key(|told| told.at);
+        let told = told.iter().map(|told| ToldStep {
+            at: told.at.to_string(),
+            error_us: told.error_us,
+            node: told.node,
+            event: told.what.to_string(),
+            missed: told.missed,
+        });
         let story = Story {
             job: *id,
             node: entry.record.node,
@@ -393,6 +429,7 @@ impl Fleet {
                 .iter()
                 .map(|step| (step.at.to_string(), step.state))
                 .collect(),
+            told: told.collect(),
         };
         Some(Effect::Reply {
             to,
@@ -420,6 +457,7 @@ impl Fleet {
             node: *id,
             labels: node.facts().labels.clone(),
             maintenance: node.facts().maintenance.clone(),
+            queue_held: node.facts().queue_held,
             waiting: node.waiting().collect(),
         };
         Effect::Reply {

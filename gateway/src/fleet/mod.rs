@@ -21,6 +21,7 @@ pub mod clock;
 pub mod event;
 mod group;
 mod history;
+pub mod kept;
 pub mod manage;
 pub mod node;
 pub mod pattern;
@@ -46,6 +47,7 @@ use keys::{
     pace::PaceMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
     start::StartMessage,
+    trace::TraceEvent,
     version,
 };
 use node::{Node, Turn, Wish};
@@ -140,6 +142,7 @@ pub struct Fleet {
     ignored_count: u64,
     /// Of the job that is being handed in.
     wishes: manage::JobWishes,
+    kept: kept::Kept,
     /// No probe has left in this call.
     may_probe: bool,
 }
@@ -169,6 +172,7 @@ impl Fleet {
             random: seed,
             ignored_count: 0,
             wishes: manage::JobWishes::default(),
+            kept: kept::Kept::default(),
             may_probe: true,
         }
     }
@@ -206,6 +210,12 @@ impl Fleet {
                 request,
                 reply,
             } => self.manage_job(&job, request, reply, effects),
+            Event::Keep {
+                kind,
+                pattern,
+                payload,
+                reply,
+            } => self.keep(kind, &pattern, &payload, reply, effects),
             Event::Cancel { pattern, reply } => self.cancel(&pattern, reply, effects),
             Event::Release { pattern, reply } => self.release(&pattern, reply, effects),
             Event::Pace {
@@ -242,6 +252,7 @@ impl Fleet {
                 }
             }
         }
+        self.run_schedules(effects);
         self.settle(effects);
     }
 
@@ -249,7 +260,11 @@ impl Fleet {
     /// ask again. At most one clock probe leaves in each call, because a probe's stamp is the
     /// `now` of its call, so this may be due again at once.
     pub fn poll_timeout(&self) -> Option<FleetMicros> {
-        let due = [self.timers.first(), self.group_timers.first()];
+        let due = [
+            self.timers.first(),
+            self.group_timers.first(),
+            self.kept.next(),
+        ];
         due.into_iter().flatten().min()
     }
 
@@ -332,6 +347,12 @@ impl Fleet {
                 Ok(message) => {
                     self.with_node(id, effects, |node, turn| node.handle_pace(message, turn));
                 }
+                Err(_) => self.ignored_count += 1,
+            },
+            NodeTopic::Trace => match version::decode::<TraceEvent>(payload) {
+                Ok(event) => self.with_node(id, effects, |node, turn| {
+                    node.handle_trace(&event, turn);
+                }),
                 Err(_) => self.ignored_count += 1,
             },
             NodeTopic::Report => match ScriptReport::decode(payload) {

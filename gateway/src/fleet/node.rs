@@ -81,6 +81,9 @@ pub struct Facts {
     /// Why it is given no jobs.
     #[serde(default)]
     pub maintenance: Option<String>,
+    /// It takes jobs and begins none.
+    #[serde(default)]
+    pub queue_held: bool,
 }
 
 /// A stop latch as it was seen.
@@ -216,6 +219,8 @@ pub struct Node {
     stop: Repeat,
     release: Option<ReleaseWish>,
     pace: pace::Pace,
+    /// Its boot and the number of the next event that it tells.
+    next_event: Option<(u32, u32)>,
     clock: ClockTrack,
     probe_at: Option<FleetMicros>,
     next_probe: u32,
@@ -250,6 +255,7 @@ impl Node {
             stop: Repeat::default(),
             release: None,
             pace: pace::Pace::default(),
+            next_event: None,
             clock: ClockTrack::new(),
             probe_at: None,
             next_probe: 1,
@@ -334,6 +340,9 @@ impl Node {
             Some(MaintenanceWish::Because { reason }) => {
                 self.facts.maintenance = Some(reason.clone());
             }
+        }
+        if let Some(held) = wishes.hold_queue {
+            self.facts.queue_held = held;
         }
         self.store(turn);
     }

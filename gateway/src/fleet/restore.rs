@@ -28,6 +28,8 @@ pub struct Stored {
     pub jobs: Vec<(String, Vec<u8>)>,
     /// [`Table::Nodes`].
     pub nodes: Vec<(String, Vec<u8>)>,
+    /// [`Table::Kept`].
+    pub kept: Vec<(String, Vec<u8>)>,
 }
 
 /// The store holds something that this gateway did not write.
@@ -57,6 +59,14 @@ pub enum RestoreError {
         /// What is wrong with it.
         why: String,
     },
+    /// A template or a schedule cannot be read.
+    #[error("the store's entry `{name}` cannot be read: {why}")]
+    Kept {
+        /// The key in the table.
+        name: String,
+        /// What is wrong with it.
+        why: String,
+    },
 }
 
 impl Fleet {
@@ -78,6 +88,11 @@ impl Fleet {
             let (id, facts) =
                 read_node(&name, &value).map_err(|why| RestoreError::Node { node: name, why })?;
             fleet.nodes.insert(id, Node::new(id, Some(facts), now));
+        }
+        for (name, value) in stored.kept {
+            fleet
+                .restore_kept(&name, &value, effects)
+                .map_err(|why| RestoreError::Kept { name, why })?;
         }
         let mut requests: HashMap<String, Vec<u8>> = stored.requests.into_iter().collect();
         let mut entries = Vec::with_capacity(stored.jobs.len());

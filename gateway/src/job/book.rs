@@ -7,7 +7,7 @@
 //!
 //! Absent on purpose: which job runs where. That is the node's view.
 
-use super::{Change, Job, JobEntry};
+use super::{Change, Job, JobEntry, TOLD_MAX, Told};
 use crate::fleet::event::{Effect, Lane, Table, Write};
 use keys::{
     FleetMicros, JobId, Keys, NodeId,
@@ -173,6 +173,26 @@ impl Book {
         if let Some(part) = job.and_then(|job| job.parts.get_mut(&node)) {
             let progress = &mut part.entry.record.progress;
             progress.done = progress.done.max(done);
+        }
+    }
+
+    /// Notes what a node has told of a job. It is written with the next version of the record; at once
+    /// if there will be none.
+    pub fn note_told(&mut self, id: &JobId, told: Told, effects: &mut Vec<Effect>) {
+        let Some(job) = self.jobs.get_mut(id) else {
+            return;
+        };
+        if job.node() != Some(told.node) && !job.parts.contains_key(&told.node) {
+            return;
+        }
+        let list = &mut job.entry.told;
+        if list.len() >= TOLD_MAX {
+            list.pop();
+        }
+        list.push(told);
+        if job.state().is_final() {
+            let value = to_json(&job.entry);
+            effects.push(Effect::Persist(put(id, value)));
         }
     }
 

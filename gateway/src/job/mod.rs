@@ -32,6 +32,7 @@ use keys::{
     Command, FleetMicros, JobId, NodeId, QueueId,
     job::JobSignature,
     record::{JobError, JobRecord, JobResult, JobState, Progress},
+    trace::TraceWord,
 };
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, sync::Arc};
@@ -89,6 +90,9 @@ pub struct JobEntry {
     /// When it came into which state, first things first; the first [`STEPS_MAX`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub steps: Vec<Step>,
+    /// What its nodes have told of it, as it came; the first [`TOLD_MAX`] and the last one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub told: Vec<Told>,
     /// What else is stored of a synchronized job that is not final.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<Box<GroupEntry>>,
@@ -102,6 +106,30 @@ pub struct JobEntry {
 
 /// Steps that are kept of a job: a node that comes and goes all day makes no more of them.
 pub const STEPS_MAX: usize = 32;
+
+/// Events of its nodes that are kept of a job.
+pub const TOLD_MAX: usize = 64;
+
+/// Something that a node has told of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Told {
+    /// When, on the gateway's clock.
+    pub at: FleetMicros,
+    /// How far that may be wrong, µs; `None`: the node's clock was not known.
+    pub error_us: Option<f64>,
+    /// Who.
+    pub node: NodeId,
+    /// What.
+    pub what: TraceWord,
+    /// Events of the node before it that were not heard.
+    #[serde(default, skip_serializing_if = "is_none_missed")]
+    pub missed: u32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_none_missed(missed: &u32) -> bool {
+    *missed == 0
+}
 
 /// A change of a job's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,6 +168,7 @@ impl JobEntry {
             timeout_us: None,
             turn: Turnplace::default(),
             steps: vec![begin],
+            told: Vec::new(),
             group: None,
             script_end: None,
             signature: None,

@@ -83,7 +83,7 @@ fn examine(stored: Stored, findings: &mut Findings) {
                 .into_iter()
                 .collect(),
             jobs: vec![job.clone()],
-            nodes: Vec::new(),
+            ..Stored::default()
         };
         match restore(one) {
             Ok(fleet) => match fleet.jobs().next() {

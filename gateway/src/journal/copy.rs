@@ -7,8 +7,10 @@
 //! Promises: a copy is the store as it was at one instant, whatever is written meanwhile; a file has
 //! its name only when it is whole, on disk, and was read back; a file that exists is left alone.
 
-use super::{FORMAT, FORMAT_KEY, JOBS, Journal, JournalError, META, NODES, REQUESTS, open_error};
-use redb::{Database, Durability, ReadableDatabase, ReadableTable};
+use super::{
+    FORMAT, FORMAT_KEY, JOBS, Journal, JournalError, KEPT, META, NODES, REQUESTS, open_error,
+};
+use redb::{Database, Durability, ReadableDatabase, ReadableTable, TableError};
 use serde::{Deserialize, Serialize};
 use std::{
     path::{Path, PathBuf},
@@ -18,7 +20,7 @@ use std::{
 /// A piece is sent when its rows have so many bytes. One row may be larger: a job of 64 MiB.
 pub const PIECE_BYTES: usize = 256 << 10;
 
-/// A row: table (0 requests, 1 jobs, 2 nodes), key, value.
+/// A row: table (0 requests, 1 jobs, 2 nodes, 3 kept), key, value.
 type Row = (u8, String, Vec<u8>);
 
 /// A part of a copy.
@@ -84,8 +86,13 @@ impl Copier {
         let (mut index, mut row_count) = (0, 0);
         let mut rows: Vec<Row> = Vec::new();
         let mut bytes = 0;
-        for (number, definition) in (0..).zip([REQUESTS, JOBS, NODES]) {
-            for row in transaction.open_table(definition)?.iter()? {
+        for (number, definition) in (0..).zip([REQUESTS, JOBS, NODES, KEPT]) {
+            let table = match transaction.open_table(definition) {
+                // Nothing was ever kept in this store.
+                Err(TableError::TableDoesNotExist(_)) if number == 3 => continue,
+                table => table?,
+            };
+            for row in table.iter()? {
                 let (key, value) = row?;
                 let row = (number, key.value().to_owned(), value.value().to_vec());
                 bytes += row.1.len() + row.2.len();
@@ -250,11 +257,13 @@ impl CopyFile {
             let mut requests = transaction.open_table(REQUESTS)?;
             let mut jobs = transaction.open_table(JOBS)?;
             let mut nodes = transaction.open_table(NODES)?;
+            let mut kept = transaction.open_table(KEPT)?;
             for (table, key, value) in rows {
                 let table = match table {
                     0 => &mut requests,
                     1 => &mut jobs,
-                    _ => &mut nodes,
+                    2 => &mut nodes,
+                    _ => &mut kept,
                 };
                 table.insert(key.as_str(), value.as_slice())?;
             }

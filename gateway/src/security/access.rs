@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
-//! | node | its own status, ack, clock, start, pace, log, report, data | its own orders, and every stop |
+//! | node | its own status, ack, clock, start, pace, trace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
 //! A node cannot speak as another, whatever key it uses: rules go by the name under which it
@@ -17,7 +17,8 @@ use keys::{Keys, NodeId, NodeTopic};
 use serde_json::{Value, json};
 
 /// What a node says.
-const SAID: [NodeTopic; 7] = [
+const SAID: [NodeTopic; 8] = [
+    NodeTopic::Trace,
     NodeTopic::Pace,
     NodeTopic::Report,
     NodeTopic::Status,

@@ -497,6 +497,7 @@ impl Rig {
             requests: table(Table::Requests),
             jobs: table(Table::Jobs),
             nodes: table(Table::Nodes),
+            kept: table(Table::Kept),
         }
     }
 

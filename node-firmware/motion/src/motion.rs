@@ -18,6 +18,7 @@ mod reach;
 mod stand;
 mod stop;
 mod turns;
+mod watch;
 
 pub use check::CommandError;
 pub use config::{ConfigError, MotionConfig, ShiftConfig};
@@ -33,6 +34,7 @@ use marks::{Marks, What};
 use named::Cd;
 use outputs::{Laser, Shift};
 use turns::Turns;
+use watch::Watch;
 
 use crate::{
     CommandRing, Direction, Full, Reservation, StepBackend, Ticks,
@@ -124,6 +126,7 @@ pub struct Motion<'m, B: StepBackend> {
     phase: Phase,
     barrier: Barrier,
     start: Option<Start>,
+    watch: Option<Watch>,
     hold: Hold,
     /// A change in flight has not been made yet.
     change_due: bool,
@@ -255,6 +258,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             phase: Phase::Rest,
             barrier: Barrier::Open,
             start: None,
+            watch: None,
             hold: Hold::None,
             change_due: false,
             extended_commands: 0,

@@ -147,7 +147,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             end: header.job_end,
         };
         if self.job != Some(job) {
+            let begins = self.job() != Some(job.id);
+            self.watch_pulses();
             self.job = Some(job);
+            if begins {
+                self.begin_job(header.first_command, header.job_end, now);
+            }
             self.status_due = true;
         }
         self.trace.note(

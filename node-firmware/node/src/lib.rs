@@ -38,6 +38,7 @@ mod script;
 mod shelf;
 mod start;
 mod stop;
+mod tell;
 
 pub use outbox::Outbound;
 
@@ -51,6 +52,7 @@ use crate::{
     signed::Verifier,
     start::{Start, Told},
     stop::Phase,
+    tell::Teller,
     trace::{Event, Trace},
 };
 use ::script::Limits;
@@ -232,6 +234,7 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     signed: Verifier,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
+    teller: Teller,
     trace: Trace,
 }
 
@@ -292,6 +295,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             signed: Verifier::default(),
             rssi_dbm: None,
             outbox: Outbox::new(),
+            teller: Teller::default(),
             trace: Trace::new(),
         };
         node.ring_commands = node.motion.credit_commands();
@@ -429,6 +433,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
+        }
+        // Before the status, so that who hears of a job's end knows its story.
+        if let Some(event) = self.teller.pop() {
+            return Some(outbound(NodeTopic::Trace, &event));
         }
         if self.status_due {
             self.status_due = false;
@@ -612,10 +620,12 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
 
     /// Draws the conclusions after anything happened: job over, credit, status.
     fn settle(&mut self, now: LocalMicros) {
+        self.watch_pulses();
         if self
             .job
             .is_some_and(|job| self.motion.executed_commands() >= job.end)
         {
+            self.tell_ended(now);
             self.job = None;
             self.status_due = true;
         }

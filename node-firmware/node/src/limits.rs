@@ -53,6 +53,11 @@ pub const LOG_LINE_US: u64 = 200_000;
 /// Events that the trace keeps.
 pub const TRACE_EVENTS: usize = 64;
 
+/// Events of a job that wait for the link: what happens to one while it is gone.
+pub const TOLD_EVENTS_MAX: usize = 8;
+
+const _: () = assert!(keys::trace::TRACE_BYTES_MAX <= OUTBOUND_BYTES_MAX);
+
 /// A credit is told unasked when this part of the ring has become free since it was told last.
 /// A quarter: the gateway can send again while three quarters are still to be executed, and a
 /// job causes at most four such acks for each filling of the ring.

@@ -9,6 +9,7 @@ use crate::{Node, Outputs, start::Start, stop::Phase, trace::Event};
 use keys::{
     LocalMicros,
     pace::{PaceMessage, SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
+    trace::TraceWord,
     version,
 };
 use motion::StepBackend;
@@ -69,7 +70,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                     None => {}
                 }
                 // Also if all is as before: what was said with the same number is old now.
-                self.count_change();
+                self.count_change(now);
             }
         }
     }
@@ -125,12 +126,26 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             self.motion.hold(crate::ticks_from_local(now));
         }
         if (self.is_held(), self.pace.percent) != self.pace.counted {
-            self.count_change();
+            self.count_change(now);
         }
     }
 
-    fn count_change(&mut self) {
+    fn count_change(&mut self, now: LocalMicros) {
+        let (held_before, percent_before) = self.pace.counted;
         self.pace.counted = (self.is_held(), self.pace.percent);
+        let (held, percent) = self.pace.counted;
+        // A stop tells itself that it ends a hold.
+        if held != held_before && self.phase == Phase::Open {
+            let word = if held {
+                TraceWord::Held
+            } else {
+                TraceWord::Resumed
+            };
+            self.tell_of_job(now, word);
+        }
+        if percent != percent_before {
+            self.tell_of_job(now, TraceWord::Speed { percent });
+        }
         self.pace.change = self.pace.change.wrapping_add(1);
         self.pace.due = true;
         self.status_due = true;

@@ -13,7 +13,7 @@ use crate::{
 use core::fmt;
 use keys::{
     AxisId, AxisStatus, Fault, Features, LocalMicros, NodeState, Status, StopReason,
-    status::FaultCode,
+    status::FaultCode, trace::TraceWord,
 };
 use motion::StepBackend;
 
@@ -77,6 +77,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// cannot push out the others.
     pub(crate) fn note_fault(&mut self, code: FaultCode, now: LocalMicros) {
         self.trace.note(now, Event::Fault(code));
+        self.tell_of_job(now, TraceWord::Fault(code));
         let fault = Fault { code, at: now };
         match self.faults.last_mut() {
             Some(last) if last.code == code => *last = fault,

@@ -85,7 +85,7 @@ const HEARD: [NodeTopic; 5] = [
 ];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 7] = [
+const SPOKEN: [NodeTopic; 8] = [
     NodeTopic::Clock,
     NodeTopic::Start,
     NodeTopic::Ack,
@@ -93,6 +93,7 @@ const SPOKEN: [NodeTopic; 7] = [
     NodeTopic::Log,
     NodeTopic::Report,
     NodeTopic::Pace,
+    NodeTopic::Trace,
 ];
 
 /// Numbers of zenoh's encodings.
@@ -161,6 +162,7 @@ impl NodeLink {
             (publish(SPOKEN[4])?, SPOKEN[4]),
             (publish(SPOKEN[5])?, SPOKEN[5]),
             (publish(SPOKEN[6])?, SPOKEN[6]),
+            (publish(SPOKEN[7])?, SPOKEN[7]),
         ];
         let mut scripts = ScriptKey::new();
         // Cannot fail: it was counted.

@@ -27,7 +27,7 @@ use alloc::{
 use keys::{
     AxisId, Command, JobId, LocalMicros, NodeState, QueueId, Refusal, ScriptHeader, ScriptOutcome,
     ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, signed::Proof,
-    start::BarrierName,
+    start::BarrierName, trace::TraceWord,
 };
 use motion::{CommandError, StepBackend};
 use script::{BarrierError, End, Full, Host, LidarReading, Script, Step, Wait};
@@ -178,6 +178,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         });
         self.status_due = true;
         self.trace.note(now, Event::ScriptBegun);
+        self.begin_job(first_command, u64::MAX, now);
         let started = match core::str::from_utf8(&text) {
             Ok(text) => Script::start(
                 text,
@@ -262,6 +263,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                     end: end_command,
                 });
                 self.trace.note(now, Event::ScriptEnded);
+                self.tell_of_job(now, TraceWord::ScriptEnded);
                 let outcome = ScriptOutcome::Returned;
                 let text = json.unwrap_or_default();
                 self.report_script(first_command, end_command, job, outcome, text, now);
@@ -275,6 +277,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     fn fail_script(&mut self, first_command: u64, job: JobId, message: String, now: LocalMicros) {
         self.trace.note(now, Event::ScriptFailed);
+        self.tell_of_job(now, TraceWord::ScriptFailed);
         let first_line = message.lines().next().unwrap_or_default().to_string();
         self.log(now, format_args!("script failed: {first_line}"));
         let end_command = self.motion.accepted_commands();

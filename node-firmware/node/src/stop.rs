@@ -13,7 +13,7 @@
 //! softened. A latched node has dropped its queue already: another stop begins no other queue.
 
 use crate::{LinkLoss, Node, Outputs, start::Start, trace::Event};
-use keys::{LocalMicros, StopMode, StopReason, StopReport, status::FaultCode};
+use keys::{LocalMicros, StopMode, StopReason, StopReport, status::FaultCode, trace::TraceWord};
 use motion::StepBackend;
 
 /// Where the node is on the stop path.
@@ -71,6 +71,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match self.phase {
             Phase::Open => {
                 self.trace.note(now, Event::StopTaken(reason));
+                self.tell_of_job(now, TraceWord::StopTaken(reason));
                 self.phase = Phase::Stopping {
                     reason,
                     mode,
@@ -89,6 +90,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                     && (reason_before == StopReason::Cancel || reason == StopReason::Fault);
                 if overrides {
                     self.trace.note(now, Event::StopTaken(reason));
+                    self.tell_of_job(now, TraceWord::StopTaken(reason));
                 }
                 self.phase = Phase::Stopping {
                     reason: if overrides { reason } else { reason_before },
@@ -131,6 +133,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         } else {
             Phase::Latched { reason }
         };
+        self.tell_of_job(now, TraceWord::Stopped(reason));
         self.job = None;
         self.credit_told = self.motion.credit_commands();
         self.status_due = true;
@@ -165,6 +168,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             return;
         }
         self.trace.note(now, Event::LinkLost);
+        self.tell_of_job(now, TraceWord::LinkLost);
         self.note_fault(FaultCode::LINK_LOST, now);
         let (mode, outcome) = match self.config.link_loss {
             _ if self.phase != Phase::Open => (None, "was stopping already"),

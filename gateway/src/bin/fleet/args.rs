@@ -206,6 +206,32 @@ Examples:
   fleet maintenance left --end")]
     Maintenance(Maintenance),
 
+    /// Let the jobs that wait for a node go on waiting: new ones are taken, none begins. What moves goes
+    /// on; `fleet hold` is for that.
+    #[command(after_help = "\
+Examples:
+  fleet queue left hold
+  fleet queue left resume")]
+    Queue(Queue),
+
+    /// Keep jobs with ${NAME} in them in the gateway, for everybody who hands in jobs.
+    #[command(after_help = "\
+Examples:
+  fleet template put drill drill.gcode --about 'a hole, mm'
+  fleet template list
+  fleet submit --template drill --set depth=4 --set x=10 --node left")]
+    Template(crate::kept::Templates),
+
+    /// Hand in a job again and again, at times in UTC. A time that passes while the gateway does not
+    /// run, or while the job before has not ended, is left out and counted as missed.
+    #[command(after_help = "\
+Examples:
+  fleet schedule add warm-up warm.json --label mill --daily 05:00
+  fleet schedule add purge --template purge --set ml=5 --node left --every 10m
+  fleet schedule list
+  fleet schedule delete purge")]
+    Schedule(crate::kept::Schedules),
+
     /// Change the order of jobs that wait.
     #[command(after_help = "\
 Examples:
@@ -549,8 +575,12 @@ pub(crate) enum KeysAct {
 #[derive(Debug, Args)]
 pub(crate) struct Submit {
     /// The job; `-`: standard input.
-    #[arg(value_name = "FILE|-")]
-    pub(crate) file: PathBuf,
+    #[arg(value_name = "FILE|-", required_unless_present = "template")]
+    pub(crate) file: Option<PathBuf>,
+
+    /// The job is this template of the gateway (`fleet template`), filled in by --set.
+    #[arg(long, conflicts_with_all = ["file", "format"], value_parser = group_id)]
+    pub(crate) template: Option<GroupId>,
 
     /// Node, or pattern with `*` or `$*`: a job for each node that is alive and matches.
     #[arg(long, value_name = "PATTERN", value_parser = pattern, required_unless_present_any = ["group", "label"])]
@@ -693,6 +723,26 @@ pub(crate) struct Maintenance {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct Queue {
+    /// Node, or pattern with `*` or `$*`.
+    #[arg(value_name = "NODE", value_parser = pattern)]
+    pub(crate) node: String,
+
+    /// What to do with its queue.
+    #[arg(value_enum)]
+    pub(crate) wish: QueueWish,
+}
+
+/// What to do with a queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum QueueWish {
+    /// The job that runs ends, the next one does not begin.
+    Hold,
+    /// They go on.
+    Resume,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct Move {
     /// The job that waits.
     #[arg(value_name = "JOB", value_parser = job_id)]
@@ -774,7 +824,7 @@ fn job_id(text: &str) -> Result<JobId, String> {
     JobId::new(text).map_err(|error| error.to_string())
 }
 
-fn setting(text: &str) -> Result<(String, String), String> {
+pub(crate) fn setting(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
     if name.is_empty()
         || !name
@@ -786,7 +836,7 @@ fn setting(text: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), value.to_owned()))
 }
 
-fn instant(text: &str) -> Result<keys::FleetMicros, String> {
+pub(crate) fn instant(text: &str) -> Result<keys::FleetMicros, String> {
     keys::FleetMicros::from_rfc3339(text)
         .ok_or_else(|| "a time in UTC: 2026-11-22T03:00:00Z".into())
 }
@@ -809,7 +859,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 }
 
 /// A name, or one chunk of a key expression.
-fn pattern(text: &str) -> Result<String, String> {
+pub(crate) fn pattern(text: &str) -> Result<String, String> {
     let words = "a name of a-z, 0-9, _ and -, or a pattern of such with `*` alone or `$*`";
     let legal =
         |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"_-$*".contains(&byte);

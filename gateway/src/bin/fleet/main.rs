@@ -12,6 +12,7 @@ mod check;
 mod demo;
 mod follow;
 mod help;
+mod kept;
 mod link;
 mod manage;
 mod pace;
@@ -26,6 +27,7 @@ mod supervisor;
 mod trace;
 mod update;
 mod watch;
+mod written;
 
 use args::{Common, Line, Verb};
 use clap::Parser;
@@ -101,6 +103,9 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Trace(line) => trace::trace(&link, &line.job, json).await,
         Verb::Label(line) => manage::label(&link, line, json).await,
         Verb::Maintenance(line) => manage::maintenance(&link, line, json).await,
+        Verb::Queue(line) => manage::queue(&link, line, json).await,
+        Verb::Template(line) => kept::templates(&link, line, json).await,
+        Verb::Schedule(line) => kept::schedules(&link, line, json).await,
         Verb::Move(line) => manage::reorder(&link, line, json).await,
         Verb::Watch(watch) => watch::watch(&link, watch.seconds, json).await,
         Verb::Cancel(cancel) => submit::cancel(&link, &cancel.job, json).await,

@@ -1,7 +1,7 @@
-//! `fleet label`, `fleet maintenance`, `fleet move`: how nodes and their queues are arranged.
+//! `fleet label`, `fleet maintenance`, `fleet queue`, `fleet move`: how nodes and their queues are arranged.
 
 use crate::{
-    args::{Label, Maintenance, Move, Submit},
+    args::{Label, Maintenance, Move, Queue, QueueWish},
     link::{Failure, Link, read},
     show,
     submit::{accepted, verdict},
@@ -26,6 +26,8 @@ struct Arrangement {
     node: NodeId,
     labels: Vec<GroupId>,
     maintenance: Option<String>,
+    #[serde(default)]
+    queue_held: bool,
     waiting: Vec<JobId>,
 }
 
@@ -52,6 +54,12 @@ pub(crate) async fn maintenance(
         None => json!(false),
     };
     let wishes = json!({ "maintenance": wish });
+    ask(link, &format!("node/{}", line.node), &wishes, json).await
+}
+
+/// `fleet queue`
+pub(crate) async fn queue(link: &Link, line: &Queue, json: bool) -> Result<(), Failure> {
+    let wishes = json!({ "hold_queue": line.wish == QueueWish::Hold });
     ask(link, &format!("node/{}", line.node), &wishes, json).await
 }
 
@@ -88,7 +96,7 @@ async fn ask(link: &Link, key: &str, wishes: &Value, json: bool) -> Result<(), F
     if payloads.is_empty() && !refused {
         return Err(Failure::Failed(Some("no node matches".to_owned())));
     }
-    let mut table = show::table(&["node", "labels", "maintenance", "waiting"]);
+    let mut table = show::table(&["node", "labels", "maintenance", "queue", "waiting"]);
     let mut rows: Vec<Arrangement> = payloads
         .iter()
         .map(|payload| read(payload))
@@ -100,6 +108,7 @@ async fn ask(link: &Link, key: &str, wishes: &Value, json: bool) -> Result<(), F
             row.node.to_string(),
             words(row.labels.iter().map(GroupId::as_str).collect()),
             row.maintenance.clone().unwrap_or_default(),
+            if row.queue_held { "held" } else { "open" }.to_owned(),
             words(row.waiting.iter().map(JobId::as_str).collect()),
         ]);
     }
@@ -112,16 +121,15 @@ async fn ask(link: &Link, key: &str, wishes: &Value, json: bool) -> Result<(), F
 /// Makes a synchronized job: the same part for each node that has the label.
 pub(crate) async fn together(
     link: &Link,
-    submit: &Submit,
+    label: Option<GroupId>,
+    name: &str,
     payload: &[u8],
     encoding: &Encoding,
 ) -> Result<Vec<u8>, Failure> {
-    let Some(label) = submit.label else {
+    let Some(label) = label else {
         return Err(Failure::Usage("--together needs --label".to_owned()));
     };
-    let usage = |error: &dyn std::fmt::Display| {
-        Failure::Usage(format!("{}: {error}", submit.file.display()))
-    };
+    let usage = |error: &dyn std::fmt::Display| Failure::Usage(format!("{name}: {error}"));
     // What is of the whole job and not of its parts.
     let mut whole = serde_json::Map::new();
     let part = match encoding.to_string().as_str() {

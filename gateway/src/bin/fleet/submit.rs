@@ -1,22 +1,30 @@
 //! `fleet submit`, `fleet jobs`, `fleet nodes`, `fleet cancel`: ask and print.
 
 use crate::{
-    args::{Export, Format, Jobs, Submit},
+    args::{Export, Jobs, Submit},
     follow::Follower,
+    kept,
     link::{Answer, Failure, Link, read},
     manage, show,
     sign::sign,
+    written::Written,
 };
 use keys::{
     JobId,
     record::{JobRecord, JobState, NodeRecord, Receipt},
 };
-use std::{io::Read, path::Path};
 use zenoh::bytes::Encoding;
 
 /// `fleet submit`
 pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(), Failure> {
-    let (mut payload, mut encoding) = read_job(submit)?;
+    let mut written = match (&submit.template, &submit.file) {
+        (Some(name), _) => kept::template(link, name).await?,
+        (None, Some(file)) => Written::read(file, submit.format)?,
+        (None, None) => unreachable!("the command line needs one of them"),
+    };
+    written.fill_in(&submit.settings, submit.template.is_some())?;
+    let name = written.name.clone();
+    let (mut payload, mut encoding) = written.encoded(submit.id)?;
     if let (Some(key), Some(node)) = (&submit.sign, &submit.node) {
         if encoding != Encoding::APPLICATION_JSON {
             let script = String::from_utf8_lossy(&payload);
@@ -28,7 +36,7 @@ pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(
         payload = sign(link, key, node, &payload).await?;
     }
     if submit.together {
-        payload = manage::together(link, submit, &payload, &encoding).await?;
+        payload = manage::together(link, submit.label, &name, &payload, &encoding).await?;
         encoding = Encoding::APPLICATION_JSON;
     }
     let wishes = wishes(submit);
@@ -131,90 +139,6 @@ fn print_record(record: &JobRecord, json: bool) {
     }
 }
 
-/// Reads the job's file and gives it the name that was typed.
-fn read_job(submit: &Submit) -> Result<(Vec<u8>, Encoding), Failure> {
-    let file = &submit.file;
-    let usage = |error: &dyn std::fmt::Display| {
-        let name = if is_stdin(file) {
-            "standard input".to_owned()
-        } else {
-            file.display().to_string()
-        };
-        Failure::Usage(format!("{name}: {error}"))
-    };
-    let mut payload = Vec::new();
-    if is_stdin(file) {
-        std::io::stdin().lock().read_to_end(&mut payload)
-    } else {
-        std::fs::File::open(file).and_then(|mut file| file.read_to_end(&mut payload))
-    }
-    .map_err(|error| usage(&error))?;
-    if payload.iter().all(u8::is_ascii_whitespace) {
-        return Err(usage(&"there is nothing in it"));
-    }
-    if !submit.settings.is_empty() {
-        let text = String::from_utf8(payload).map_err(|error| usage(&error))?;
-        payload = fill_in(&text, &submit.settings)
-            .map_err(|error| usage(&error))?
-            .into_bytes();
-    }
-    let format = submit.format.unwrap_or_else(|| format_of(file, &payload));
-    match (format, &submit.id) {
-        (Format::Lua, None) => Ok((payload, Encoding::from("text/x-lua"))),
-        (Format::Lua, Some(id)) => {
-            let script = String::from_utf8(payload).map_err(|error| usage(&error))?;
-            let job = serde_json::json!({ "id": id, "lua": script });
-            Ok((job.to_string().into_bytes(), Encoding::APPLICATION_JSON))
-        }
-        (Format::Gcode, None) => Ok((payload, Encoding::from("text/x-gcode"))),
-        (Format::Gcode, Some(id)) => Ok((payload, Encoding::from(format!("text/x-gcode;id={id}")))),
-        (Format::Json, None) => Ok((payload, Encoding::APPLICATION_JSON)),
-        (Format::Json, Some(id)) => {
-            let mut job: serde_json::Map<String, serde_json::Value> =
-                serde_json::from_slice(&payload).map_err(|error| usage(&error))?;
-            job.insert("id".to_owned(), id.as_str().into());
-            let payload = serde_json::to_vec(&job).map_err(|error| usage(&error))?;
-            Ok((payload, Encoding::APPLICATION_JSON))
-        }
-    }
-}
-
-/// Puts values in the place of `${NAME}`.
-fn fill_in(template: &str, settings: &[(String, String)]) -> Result<String, String> {
-    let mut used = vec![false; settings.len()];
-    let mut out = String::with_capacity(template.len());
-    let mut rest = template;
-    while let Some((before, behind)) = rest.split_once("${") {
-        out += before;
-        let (name, behind) = behind.split_once('}').ok_or("`${` without `}`")?;
-        let index = settings.iter().position(|(known, _)| known == name);
-        let index = index.ok_or_else(|| format!("${{{name}}} has no value: --set {name}=…"))?;
-        out += &settings[index].1;
-        used[index] = true;
-        rest = behind;
-    }
-    match used.iter().position(|used| !used) {
-        Some(index) => Err(format!("there is no ${{{}}} in it", settings[index].0)),
-        None => Ok(out + rest),
-    }
-}
-
-fn is_stdin(file: &Path) -> bool {
-    file.as_os_str() == "-"
-}
-
-fn format_of(file: &Path, payload: &[u8]) -> Format {
-    match file.extension().and_then(|extension| extension.to_str()) {
-        Some("json") => Format::Json,
-        Some("lua") => Format::Lua,
-        Some("gcode" | "nc" | "ngc" | "tap") => Format::Gcode,
-        _ => match payload.iter().find(|byte| !byte.is_ascii_whitespace()) {
-            Some(b'{') => Format::Json,
-            _ => Format::Lua,
-        },
-    }
-}
-
 /// Sorts answers into payloads and refusals, and prints the latter.
 pub(crate) fn accepted(answers: Vec<Answer>) -> (Vec<Vec<u8>>, bool) {
     let mut refused = false;
@@ -308,40 +232,4 @@ pub(crate) async fn cancel(link: &Link, job: &str, json: bool) -> Result<(), Fai
         }
     }
     verdict(refused)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_template_is_filled_in_whole_or_not_at_all() {
-        let set = |pairs: &[(&str, &str)]| -> Vec<(String, String)> {
-            let owned = |(name, value): &(&str, &str)| ((*name).to_owned(), (*value).to_owned());
-            pairs.iter().map(owned).collect()
-        };
-        let depth = set(&[("d", "4"), ("x", "${d}")]);
-        let filled = fill_in("G1 Z-${d} X${x} ${d}", &depth);
-        assert_eq!(
-            filled.as_deref(),
-            Ok("G1 Z-4 X${d} 4"),
-            "a value is no template"
-        );
-        let error = |text: &str| fill_in(text, &depth).expect_err("not whole");
-        assert!(error("${d} ${x} ${y}").contains("--set y="));
-        assert!(error("${d}").contains("no ${x}"));
-        assert!(error("${d} ${x").contains("without"));
-    }
-
-    #[test]
-    fn a_file_is_what_its_extension_says_and_else_what_it_looks_like() {
-        let format = |file: &str, payload: &[u8]| format_of(Path::new(file), payload);
-        assert_eq!(format("a.json", b"x"), Format::Json);
-        assert_eq!(format("a.lua", b"{}"), Format::Lua);
-        assert_eq!(format("a.gcode", b"G0 X1"), Format::Gcode);
-        assert_eq!(format("a.nc", b"%"), Format::Gcode);
-        assert_eq!(format("-", b" \n{}"), Format::Json);
-        assert_eq!(format("-", b"motor.execute()"), Format::Lua);
-        assert_eq!(format("-", b""), Format::Lua);
-    }
 }

@@ -1,11 +1,12 @@
-//! `fleet trace`: the way of one job, by what the gateway has kept of it and what is in its record.
+//! `fleet trace`: the way of one job, by what the gateway has kept of it, what its nodes have told of it,
+//! and what is in its record.
 
 use crate::{
     link::{Failure, Link, read},
     show,
     submit::accepted,
 };
-use keys::{FleetMicros, JobId, record::JobRecord};
+use keys::{FleetMicros, JobId, NodeId, record::JobRecord};
 use serde::Deserialize;
 
 /// What the gateway answers.
@@ -15,6 +16,27 @@ struct Story {
     not_before: Option<String>,
     waiting: Option<Vec<JobId>>,
     steps: Vec<(String, String)>,
+    /// A gateway of before says nothing of it.
+    #[serde(default)]
+    told: Vec<Told>,
+}
+
+/// What a node has told of it.
+#[derive(Deserialize)]
+struct Told {
+    at: String,
+    error_us: Option<f64>,
+    node: NodeId,
+    event: String,
+    missed: u32,
+}
+
+/// One line: when, how far that may be wrong, who says it, what.
+struct Row {
+    at: String,
+    error: String,
+    who: String,
+    event: String,
 }
 
 /// `fleet trace`
@@ -34,14 +56,12 @@ pub(crate) async fn trace(link: &Link, job: &JobId, json: bool) -> Result<(), Fa
         Some(record) => Some(read(record)?),
         None => None,
     };
-    let mut table = show::table(&["time", "after", "event"]);
+    let mut rows = Vec::new();
     let first = story
         .steps
         .first()
         .and_then(|(at, _)| FleetMicros::from_rfc3339(at));
     for (at, state) in &story.steps {
-        let after = FleetMicros::from_rfc3339(at).zip(first);
-        let after = after.map(|(at, first)| span(at.since_us(first)));
         let event = match (state.as_str(), &record) {
             ("queued", Some(record)) => match record.node {
                 Some(node) => format!("queued for {node}"),
@@ -57,7 +77,30 @@ pub(crate) async fn trace(link: &Link, job: &JobId, json: bool) -> Result<(), Fa
             }
             (state, _) => state.to_owned(),
         };
-        table.add_row(vec![at.clone(), after.unwrap_or_default(), event]);
+        rows.push(Row {
+            at: at.clone(),
+            error: String::new(),
+            who: "gateway".to_owned(),
+            event,
+        });
+    }
+    rows.extend(story.told.iter().map(of_node));
+    // All times are of one form, so that their text sorts as they do.
+    rows.sort_by(|a, b| a.at.cmp(&b.at));
+    let mut table = show::table(&["time", "±", "after", "by", "event"]);
+    for row in rows {
+        let at = FleetMicros::from_rfc3339(&row.at).zip(first);
+        let after = at.map(|(at, first)| match first.since_us(at) {
+            0 => format!("+{}", span(at.since_us(first))),
+            before => format!("-{}", span(before)),
+        });
+        table.add_row(vec![
+            row.at,
+            row.error,
+            after.unwrap_or_default(),
+            row.who,
+            row.event,
+        ]);
     }
     show::print(table);
     if let Some(waiting) = &story.waiting {
@@ -84,13 +127,31 @@ fn priority(priority: i16) -> String {
     priority.to_string()
 }
 
+fn of_node(told: &Told) -> Row {
+    let error = match told.error_us {
+        Some(error_us) => span(error_us.ceil() as u64),
+        None => "?".to_owned(),
+    };
+    let missed = match told.missed {
+        0 => String::new(),
+        1 => " (one event before it was not heard)".to_owned(),
+        missed => format!(" ({missed} events before it were not heard)"),
+    };
+    Row {
+        at: told.at.clone(),
+        error,
+        who: told.node.to_string(),
+        event: format!("{}{missed}", told.event),
+    }
+}
+
 /// A span with as many digits as matter.
 fn span(us: u64) -> String {
     match us {
-        0..1_000 => format!("+{us} µs"),
-        1_000..1_000_000 => format!("+{:.3} ms", us as f64 / 1e3),
-        1_000_000..60_000_000 => format!("+{:.3} s", us as f64 / 1e6),
-        _ => format!("+{}:{:02} min", us / 60_000_000, us / 1_000_000 % 60),
+        0..1_000 => format!("{us} µs"),
+        1_000..1_000_000 => format!("{:.3} ms", us as f64 / 1e3),
+        1_000_000..60_000_000 => format!("{:.3} s", us as f64 / 1e6),
+        _ => format!("{}:{:02} min", us / 60_000_000, us / 1_000_000 % 60),
     }
 }
 
@@ -101,9 +162,6 @@ mod tests {
     #[test]
     fn spans_have_the_digits_that_matter() {
         let texts = [0, 999, 1_500, 2_000_500, 61_000_000].map(span);
-        assert_eq!(
-            texts,
-            ["+0 µs", "+999 µs", "+1.500 ms", "+2.001 s", "+1:01 min"]
-        );
+        assert_eq!(texts, ["0 µs", "999 µs", "1.500 ms", "2.001 s", "1:01 min"]);
     }
 }

@@ -186,6 +186,7 @@ impl Node {
             && self.facts.drop_queue.is_none()
             && self.status.is_some()
             && self.facts.maintenance.is_none()
+            && !self.facts.queue_held
             && self.executed >= self.accepted;
         self.next_at = None;
         if !open {

@@ -7,7 +7,7 @@ use crate::{
         clock::Stamps,
         route::{Route, Setback},
     },
-    job::{Activation, Change, Ending, Job, ScriptEnd, group::Passed},
+    job::{Activation, Change, Ending, Job, ScriptEnd, Told, group::Passed},
     security::signing::Signed,
 };
 use keys::{
@@ -15,6 +15,7 @@ use keys::{
     StopMode, StopReason, StopReport, Verdict,
     clock::ClockReply,
     record::{ErrorCode, JobError, JobState},
+    trace::TraceEvent,
 };
 
 impl Node {
@@ -23,6 +24,31 @@ impl Node {
         if self.alive {
             self.go_offline(turn);
         }
+    }
+
+    /// The node tells of a job. What it tells before its first status, or of another boot, is nobody's.
+    pub(in crate::fleet) fn handle_trace(&mut self, event: &TraceEvent, turn: &mut Turn<'_>) {
+        if event.boot != self.facts.queue.boot || self.status.is_none() {
+            return;
+        }
+        let next = self.next_event.filter(|(boot, _)| *boot == event.boot);
+        let missed = next.map_or(0, |(_, number)| event.number.wrapping_sub(number));
+        if missed > u32::MAX / 2 {
+            // It was heard before.
+            return;
+        }
+        self.next_event = Some((event.boot, event.number.wrapping_add(1)));
+        let Some(job) = event.job else { return };
+        let status_at = self.status.as_ref().map_or(event.at, |status| status.at);
+        let at = self.fleet_from_local(event.at, status_at, turn.now);
+        let told = Told {
+            at,
+            error_us: self.clock.estimate(at).map(|estimate| estimate.error_us),
+            node: self.id,
+            what: event.what,
+            missed,
+        };
+        turn.book.note_told(&job, told, turn.effects);
     }
 
     /// A status arrived.

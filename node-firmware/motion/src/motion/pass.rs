@@ -80,10 +80,11 @@ impl<B: StepBackend> Motion<'_, B> {
         while let Some(mark) = self.marks.front()
             && mark.end <= self.now
         {
-            let what = mark.what;
+            let Mark { end, what } = *mark;
             self.marks.pop();
             self.ring.pop();
             self.executed_commands += 1;
+            self.watch_end(end);
             match what {
                 What::Moves(_) | What::Path(_) | What::Rest => {}
                 What::Origin {

@@ -146,6 +146,7 @@ impl<B: StepBackend> Motion<'_, B> {
                 self.ring.advance();
                 self.note(&command, runs, end);
             }
+            self.watch_edge(first_edge_at);
             if let Some(start) = self.start.as_mut()
                 && start.first_edge_at.is_none()
             {

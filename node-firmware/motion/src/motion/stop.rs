@@ -70,6 +70,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.executed_commands = 0;
         self.expected_commands = 0;
         self.extended_commands = 0;
+        self.watch = None;
     }
 
     /// Begins a controlled stop: on its path, by its own law, where a ramp or a line is under way;
