@@ -8,7 +8,8 @@
 use gateway::{
     fleet::{
         Fleet, FleetConfig, Stored,
-        event::{Effect, Event, Table, Write},
+        event::{Effect, Event, ReplyTo, Table, Write},
+        kept::Kind,
     },
     journal::Journal,
 };
@@ -53,14 +54,20 @@ fn rows(mut data: &[u8]) {
         let (value, rest) = rest.split_at(length.min(rest.len()));
         data = rest;
         let row = (String::from_utf8_lossy(key).into_owned(), value.to_vec());
-        match table % 3 {
+        match table % 4 {
             0 => stored.requests.push(row),
             1 => stored.jobs.push(row),
-            _ => stored.nodes.push(row),
+            2 => stored.nodes.push(row),
+            _ => stored.kept.push(row),
         }
     }
     // A table has each key once, in order.
-    for rows in [&mut stored.requests, &mut stored.jobs, &mut stored.nodes] {
+    for rows in [
+        &mut stored.requests,
+        &mut stored.jobs,
+        &mut stored.nodes,
+        &mut stored.kept,
+    ] {
         rows.sort();
         rows.dedup_by(|a, b| a.0 == b.0);
     }
@@ -91,7 +98,7 @@ fn take_up(stored: Stored) {
     }
 }
 
-/// What a fleet of one node wrote that got two jobs.
+/// What a fleet of one node wrote that got two jobs, and keeps a template and a schedule.
 fn written() -> Vec<Write> {
     let mut effects = Vec::new();
     let config = FleetConfig::new(Keys::default());
@@ -108,6 +115,26 @@ fn written() -> Vec<Write> {
             reply: None,
         };
         fleet.handle(submit, NOW, &mut effects);
+    }
+    for (kind, name, payload) in [
+        (
+            Kind::Template,
+            "square",
+            r#"{"text":"return ${N}","format":"lua"}"#,
+        ),
+        (
+            Kind::Schedule,
+            "wipe",
+            r#"{"target":"left","job":{"commands":[{"pause":{"ms":1}}]},"every_s":60}"#,
+        ),
+    ] {
+        let keep = Event::Keep {
+            kind,
+            pattern: name.into(),
+            payload: payload.into(),
+            reply: ReplyTo(1),
+        };
+        fleet.handle(keep, NOW, &mut effects);
     }
     let writes = effects.into_iter().filter_map(|effect| match effect {
         Effect::Persist(write) => Some(write),
@@ -139,6 +166,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
             Table::Requests => 0,
             Table::Jobs => 1,
             Table::Nodes => 2,
+            Table::Kept => 3,
         });
         rows.push(key.len() as u8);
         rows.extend((value.len() as u16).to_le_bytes());
