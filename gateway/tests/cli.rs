@@ -43,6 +43,7 @@ fn verbs() -> Vec<&'static str> {
         "stop",
         "release",
         "provision",
+        "script",
     ];
     if cfg!(feature = "demo") {
         verbs.push("demo");

@@ -17,6 +17,7 @@ use keys::{
         END, Hash, Proof, SIGNED_COMMANDS_MAX, Statement, link_command, root_of_commands,
         root_of_script,
     },
+    signed_script::Line,
 };
 use std::sync::Arc;
 
@@ -70,6 +71,22 @@ impl Signer {
             boot: statement.boot,
             number: statement.number,
             signature: Hex(self.0.sign(&statement.bytes()).to_bytes()),
+        }
+    }
+
+    /// Signs a script that is to be stored on a node, or its removal: gives its first line.
+    ///
+    /// # Panics
+    /// The script's name is longer than any.
+    pub fn sign_script(&self, statement: &keys::signed_script::Statement<'_>) -> Line {
+        let bytes = statement
+            .bytes()
+            .expect("a script's name has 32 bytes at most");
+        Line {
+            key: self.public().0,
+            boot: statement.boot,
+            number: statement.number,
+            signature: self.0.sign(&bytes).to_bytes(),
         }
     }
 }

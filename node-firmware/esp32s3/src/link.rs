@@ -4,6 +4,7 @@
 use crate::{
     flash::{BootLoader, CoreFlash},
     plan::{LINK, OUTGOING, Parcel, STOP, WAKE, in_window, now},
+    scripts::Shelf,
 };
 use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
 use core::{cell::RefCell, future::poll_fn, pin::pin, sync::atomic::Ordering};
@@ -38,8 +39,7 @@ const SOCKET_BYTES: usize = 16 * 1024;
 struct Remote {
     incoming: Producer<'static, Parcel>,
     outgoing: Consumer<'static, Outbound>,
-    /// Empty: this board keeps no scripts yet, and a get says so.
-    library: Library,
+    shelf: Shelf,
     /// Takes other firmware; `None` if its journal is broken.
     keeper: Option<BoardKeeper>,
 }
@@ -95,6 +95,7 @@ impl Host for Remote {
     }
 
     fn poll(&mut self, now: LocalMicros) {
+        self.shelf.poll();
         let due = self.keeper.as_mut().filter(|keeper| keeper.is_due(now.0));
         if let Some(keeper) = due
             && in_window(|| keeper.poll(now.0, false)) == Some(true)
@@ -104,12 +105,12 @@ impl Host for Remote {
     }
 
     fn poll_timeout(&self) -> Option<LocalMicros> {
-        let keeper = self.keeper.as_ref()?;
-        // Something that moves delays it: then it is looked at again soon.
+        // Something that moves delays both: then they are looked at again soon.
         let soonest_us = now().0 + RETRY_US;
-        keeper
-            .poll_timeout()
-            .map(|at_us| LocalMicros(at_us.max(soonest_us)))
+        let keeper_us = self.keeper.as_ref().and_then(Keeper::poll_timeout);
+        let keeper_us = keeper_us.map(|at_us| at_us.max(soonest_us));
+        let shelf_us = self.shelf.is_due().then_some(soonest_us);
+        keeper_us.into_iter().chain(shelf_us).min().map(LocalMicros)
     }
 
     fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
@@ -130,11 +131,12 @@ impl Host for Remote {
         Some(outbound)
     }
 
-    /// Not taken: whoever puts a script and reads it back sees that it is not there.
-    fn store_script(&mut self, _now: LocalMicros, _name: &str, _text: Option<&[u8]>) {}
+    fn store_script(&mut self, _now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        self.shelf.put(name, text);
+    }
 
     fn library(&self) -> &Library {
-        &self.library
+        self.shelf.library()
     }
 }
 
@@ -258,6 +260,7 @@ pub(crate) async fn run(
     incoming: Producer<'static, Parcel>,
     outgoing: Consumer<'static, Outbound>,
     keeper: Option<BoardKeeper>,
+    shelf: Shelf,
 ) -> ! {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
@@ -274,7 +277,7 @@ pub(crate) async fn run(
         remote: Remote {
             incoming,
             outgoing,
-            library: Library::default(),
+            shelf,
             keeper,
         },
         link,

@@ -20,6 +20,7 @@ mod panic;
 mod plan;
 mod psram;
 mod rmt;
+mod scripts;
 mod serial;
 mod stop_pin;
 mod watchdog;
@@ -101,6 +102,8 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
     NodeConfig {
         keys: keys_of(record),
         firmware: FIRMWARE,
+        boot_script: record.boot_script,
+        signers: record.signers.iter().copied().collect(),
         motion: MotionConfig {
             axis_count: board::AXES,
             axes,
@@ -188,6 +191,7 @@ async fn main(spawner: Spawner) -> ! {
         serial::run(port, dialogue, true).await;
     }
 
+    let shelf = scripts::Shelf::open(flash);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
     let boot = random_u64() as u32;
@@ -246,6 +250,7 @@ async fn main(spawner: Spawner) -> ! {
         to_node,
         from_node,
         keeper,
+        shelf,
     );
     match embassy_futures::select::select(link, serial::run(port, dialogue, false)).await {
         embassy_futures::select::Either::First(never)

@@ -133,6 +133,7 @@ impl<O: Outputs> Planning<O> {
                 self.node
                     .handle(now(), Inbound::SignalStrength { rssi_dbm });
             }
+            crate::scripts::exchange(self.node, now());
             self.node.poll(now());
             self.give_outbound();
             self.keep_events(&mut events_kept);

@@ -396,7 +396,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             .filter(|_| !self.link_loss_settled && !self.rests_at_barrier())
             .map(|gone_at| gone_at.plus_us(self.config.link_loss_after_us));
         let line = self.outbox.line_timeout().filter(|_| self.link_up());
-        let save = (self.stored.has_unsaved() && self.may_save()).then_some(self.now);
+        let save = (self.stored.can_save() && self.may_save()).then_some(self.now);
         [
             self.motion.poll_timeout().map(local_from_ticks),
             self.status_timeout(),

@@ -123,6 +123,15 @@ struct Script {
     runs: bool,
 }
 
+/// One change that somebody else is to save.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// The script's name.
+    pub name: String,
+    /// Its text; `None`: it was removed.
+    pub text: Option<String>,
+}
+
 /// Scripts by name.
 #[derive(Debug, Default)]
 pub struct Library {
@@ -223,9 +232,44 @@ impl Library {
             .map(|script| (script.name.as_str(), script.text.as_str()))
     }
 
-    /// Returns whether [`Library::save_next`] has something to do.
+    /// Takes what somebody else has read, and keeps: [`Library::take_change`] tells what changes.
+    pub fn stock(&mut self, scripts: impl IntoIterator<Item = (String, String)>) {
+        self.is_kept = true;
+        for (name, text) in scripts {
+            // What no node would have saved is not there.
+            let _ = self.put_text(&name, text.as_bytes());
+        }
+    }
+
+    /// Gives the oldest change to whoever saves it.
+    pub fn take_change(&mut self) -> Option<Change> {
+        if self.unsaved.is_empty() {
+            return None;
+        }
+        let name = self.unsaved.remove(0);
+        let text = self.get(&name).map(String::from);
+        Some(Change { name, text })
+    }
+
+    /// Makes a change that somebody else has decided on, and notes that it is to be saved.
+    ///
+    /// # Errors
+    /// Those of [`Library::put`].
+    pub fn follow(&mut self, change: &Change) -> Result<(), StoreError> {
+        match &change.text {
+            Some(text) => self.put(&change.name, text.as_bytes()),
+            None => self.remove(&change.name),
+        }
+    }
+
+    /// Returns whether changes wait to be saved.
     pub fn has_unsaved(&self) -> bool {
         !self.unsaved.is_empty()
+    }
+
+    /// Returns whether [`Library::save_next`] has something to do.
+    pub fn can_save(&self) -> bool {
+        self.has_unsaved() && self.store.is_some()
     }
 
     /// Saves the oldest change, and tells how that went; `None` if there was none. One that fails is

@@ -4,12 +4,13 @@
 //!   put, delete ─▶ signed? ─▶ Library ─▶ ScriptStore, while nothing moves ─▶ a line in the log
 //! ```
 //!
-//! A node with signers stores and runs only what one of them has signed; the others stay where they
+//! On a board the flash belongs to the other core, so the store is there: [`Node::stock_scripts`],
+//! [`Node::take_change`] and [`Node::note_saved`] are its border. A node with signers stores and runs only what one of them has signed; the others stay where they
 //! are and can be read.
 
 use crate::{
     Node, Outputs,
-    library::BoxedStore,
+    library::{BoxedStore, Change, Saved},
     signed::{StoredRefusal, check_stored},
 };
 use alloc::string::String;
@@ -25,6 +26,32 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             self.log(now, format_args!("stored scripts: {error}"));
         }
         self.judge_stored(now);
+    }
+
+    /// Takes the stored scripts from whoever keeps them elsewhere: as [`Node::open_store`].
+    pub fn stock_scripts(
+        &mut self,
+        now: LocalMicros,
+        scripts: impl IntoIterator<Item = (String, String)>,
+    ) {
+        let now = self.advance_to(now);
+        self.stored.stock(scripts);
+        self.judge_stored(now);
+    }
+
+    /// Gives the next change to whoever keeps the scripts elsewhere; nothing moves then.
+    pub fn take_change(&mut self) -> Option<Change> {
+        if self.may_save() && !self.stored.can_save() {
+            self.stored.take_change()
+        } else {
+            None
+        }
+    }
+
+    /// Hears how saving a change elsewhere went.
+    pub fn note_saved(&mut self, now: LocalMicros, saved: &Saved) {
+        let now = self.advance_to(now);
+        self.log_saved(now, saved);
     }
 
     /// A node that executes only what was signed asks the same of what it has stored.
@@ -117,9 +144,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         if !self.may_save() {
             return;
         }
-        let Some(saved) = self.stored.save_next() else {
-            return;
-        };
+        if let Some(saved) = self.stored.save_next() {
+            self.log_saved(now, &saved);
+        }
+    }
+
+    fn log_saved(&mut self, now: LocalMicros, saved: &Saved) {
         let name = &saved.name;
         let word = if saved.removed { "removed" } else { "stored" };
         match saved.result {

@@ -10,7 +10,7 @@ use keys::{
     start::{BarrierName, StartMessage},
     version,
 };
-use node::library::{SaveError, ScriptStore, StoreError, UNSAVED_MAX};
+use node::library::{Change, Library, SaveError, ScriptStore, StoreError, UNSAVED_MAX};
 use rig::{Rig, batch_bytes, job, steps};
 use scripts::{report, reported, script_orders, send};
 use std::sync::{
@@ -474,6 +474,53 @@ fn stored_scripts_are_saved_only_while_nothing_moves() {
     let words = "script b stored until the next start only: there is no room for it";
     assert_eq!(rig.lines().last().map(String::as_str), Some(words));
     assert_eq!(saves(), 4);
+}
+
+#[test]
+fn scripts_that_are_kept_by_the_other_core_are_given_to_it_while_nothing_moves() {
+    let mut rig = Rig::new(config());
+    let now = rig.now;
+    let node = rig.node.node_mut();
+    let store = node.library_mut().detach();
+    assert!(store.is_some());
+    let stock = [
+        ("a".to_owned(), "return 1".to_owned()),
+        ("No".into(), "".into()),
+    ];
+    node.stock_scripts(now, stock);
+    assert_eq!(node.library().iter().count(), 1);
+    assert_eq!(node.take_change(), None);
+    let _ = rig.batch(&[steps(1_000)]);
+    let now = rig.now;
+    let node = rig.node.node_mut();
+    node.store_script(now, "b", Some(b"return 2"));
+    node.store_script(now, "a", None);
+    assert_eq!(node.take_change(), None, "it moves");
+    rig.run_for(200_000);
+    let node = rig.node.node_mut();
+    let change = |name: &str, text: Option<&str>| Change {
+        name: name.into(),
+        text: text.map(String::from),
+    };
+    // The other core follows, and saves.
+    let mut mirror = Library::default();
+    mirror.stock([("a".to_owned(), "return 1".to_owned())]);
+    let mut shelf = Shelf::default();
+    for expected in [change("b", Some("return 2")), change("a", None)] {
+        let change = node.take_change().expect("a change");
+        assert_eq!(change, expected);
+        assert_eq!(mirror.follow(&change), Ok(()));
+        let saved = mirror.save_next_to(&mut shelf).expect("it is new");
+        node.note_saved(rig.now, &saved);
+    }
+    assert_eq!(node.take_change(), None);
+    assert_eq!(shelf.saves.load(Ordering::Relaxed), 2);
+    rig.run_for(5_000_000);
+    let lines = rig.lines();
+    assert_eq!(
+        lines[lines.len() - 2..],
+        ["script b stored", "script a removed"]
+    );
 }
 
 #[test]

@@ -291,8 +291,20 @@ Examples:
 Examples:
   fleet provision /dev/ttyACM0 --name left --wifi shop --wifi-password-file wifi.txt \\
       --router tcp/10.0.0.1:7447 --restart
+  fleet provision /dev/ttyACM0 --boot-script --signers /etc/fleet/signers --restart
   fleet provision /dev/ttyACM0")]
     Provision(crate::provision::Provision),
+
+    /// Store a Lua script on a node, under a name by which jobs call it; list, show or remove such
+    /// scripts. The one named `boot` runs when the node starts, if `fleet provision` has allowed that.
+    #[command(after_help = "\
+Examples:
+  fleet script left clean --put clean.lua      # and now: {\"call\":\"clean\",\"args\":{\"times\":3}}
+  fleet script left                            # what is stored there
+  fleet script left clean                      # its text
+  fleet script left clean --remove
+  fleet script left boot --put home.lua --sign alice.key    # a node that executes only what is signed")]
+    Script(crate::script::Script),
 
     /// Give a node another firmware over the network, or show what it runs. The node tries it: if it
     /// does not reach the router within a minute, the one before runs again.

@@ -333,6 +333,34 @@ impl Link {
         Ok(())
     }
 
+    /// Puts a text on a key, or deletes what is there.
+    pub(crate) async fn keep(&self, key: &str, text: Option<&[u8]>) -> Result<(), Failure> {
+        match text {
+            Some(text) => {
+                let put = self.session.put(key, text).encoding(Encoding::TEXT_PLAIN);
+                put.congestion_control(CongestionControl::Block).await?;
+            }
+            None => {
+                let delete = self.session.delete(key);
+                delete.congestion_control(CongestionControl::Block).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks whoever is there, and returns keys and payloads.
+    pub(crate) async fn texts(&self, selector: &str) -> Result<Vec<(String, Vec<u8>)>, Failure> {
+        let replies = self.session.get(selector).timeout(self.timeout).await?;
+        let mut texts = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            if let Ok(sample) = reply.result() {
+                let payload = sample.payload().to_bytes().into_owned();
+                texts.push((sample.key_expr().to_string(), payload));
+            }
+        }
+        Ok(texts)
+    }
+
     /// Hears a key from now on.
     pub(crate) async fn subscribe(&self, key: &str) -> Result<Samples, Failure> {
         let channel = zenoh::handlers::FifoChannel::new(4_096);

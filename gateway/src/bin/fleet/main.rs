@@ -17,6 +17,7 @@ mod link;
 mod manage;
 mod pace;
 mod provision;
+mod script;
 mod secure;
 mod serve;
 mod show;
@@ -126,6 +127,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
         Verb::Backup(line) => backup::backup(Some(&link), line, json).await,
         Verb::Update(line) => update::update(&link, line, json).await,
+        Verb::Script(line) => script::script(&link, line, json).await,
         Verb::Serve(_)
         | Verb::Config(_)
         | Verb::Check(_)

@@ -60,7 +60,7 @@ pub(crate) async fn sign(
 }
 
 /// Returns the number of the boot that the node's own status tells.
-async fn boot_of(link: &Link, node: &NodeId) -> Result<u32, Failure> {
+pub(crate) async fn boot_of(link: &Link, node: &NodeId) -> Result<u32, Failure> {
     let key = link.keys().node(node, NodeTopic::Status);
     let statuses = link.subscribe(key.as_str()).await?;
     let first = tokio::time::timeout(link.timeout(), statuses.recv_async()).await;
@@ -77,7 +77,7 @@ async fn boot_of(link: &Link, node: &NodeId) -> Result<u32, Failure> {
 
 /// Returns a number that this key has not used: UTC in microseconds, and more than the last one even
 /// if the clock went back.
-fn next_number(key: &Path) -> Result<u64, Failure> {
+pub(crate) fn next_number(key: &Path) -> Result<u64, Failure> {
     let mut path = key.as_os_str().to_owned();
     path.push(".number");
     let path = PathBuf::from(path);
