@@ -4,6 +4,7 @@
 //!   switches ──▶ glitch filter ──edge──▶ inputs.rs ──PinLevel──▶ motion::io (debounces, decides)
 //!   motion ──word──▶ shift.rs ──▶ 74HC595 ──▶ pins ──▶ 74HC165 ──▶ shift.rs ──word──▶ motion
 //!   motion ──percent──▶ pwm.rs ──LEDC──▶ laser
+//!   lidar ──bytes──▶ lidar.rs ──mm──▶ motion, which waits for it
 //!   motion ──run, halt──▶ cd.rs ──MCPWM──▶ step C ──PCNT──▶ cd.rs;  ──LEDC──▶ step D
 //! ```
 //!
@@ -16,10 +17,12 @@
 
 pub mod cd;
 pub mod inputs;
+pub mod lidar;
 pub mod pwm;
 pub mod shift;
 
 pub use cd::{CdRegisters, Timers};
 pub use inputs::{Capture, InputRegisters};
+pub use lidar::TfLuna;
 pub use pwm::{Laser, PwmRegisters, PwmTimer};
 pub use shift::ShiftLines;
