@@ -20,6 +20,7 @@ mod inputs;
 mod lamp;
 mod lidar;
 mod link;
+mod name;
 mod outputs;
 mod panic;
 mod plan;
@@ -299,6 +300,7 @@ async fn main(spawner: Spawner) -> ! {
     spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));
     spawner.spawn(wifi::network(runner).expect("spawned once"));
     let name = record.name.expect("it is provisioned");
+    spawner.spawn(name::answer(stack, name).expect("spawned once"));
     let link = link::run(
         stack,
         record,

@@ -6,6 +6,7 @@
 //!   motion ──percent──▶ pwm.rs ──LEDC──▶ laser
 //!   lidar ──bytes──▶ lidar.rs ──mm──▶ motion, which waits for it
 //!   motion ──run, halt──▶ cd.rs ──MCPWM──▶ step C ──PCNT──▶ cd.rs;  ──LEDC──▶ step D
+//!   network ──question──▶ mdns.rs ──▶ the node's name and address
 //! ```
 //!
 //! Each file has the trait of the registers that it uses, one method an access, and the logic above
@@ -18,6 +19,7 @@
 pub mod cd;
 pub mod inputs;
 pub mod lidar;
+pub mod mdns;
 pub mod pwm;
 pub mod shift;
 
