@@ -33,7 +33,9 @@
 //! assert!(session.put(status, b"all well", &PutOptions::default()).is_err());
 //! ```
 //!
-//! Deliberately absent: scouting, peers and multicast, TLS (a [`driver::Connect`] may bring
+//! [`scout`] finds the router in the network, before there is a session.
+//!
+//! Deliberately absent: peers, sessions over multicast, TLS (a [`driver::Connect`] may bring
 //! its own stream), shared memory, compression, and anything about what the bytes mean.
 #![no_std]
 
@@ -51,6 +53,7 @@ mod queries;
 mod random;
 pub mod reader;
 mod receive;
+pub mod scout;
 pub mod session;
 mod transmit;
 mod wire;
