@@ -28,6 +28,7 @@ mod psram;
 #[cfg(feature = "timers")]
 mod pwm;
 mod rmt;
+mod scout;
 mod serial;
 mod shift;
 mod stop_pin;
