@@ -100,7 +100,7 @@ pub(crate) const ENABLES: [EnableConfig; 3] = [
     },
 ];
 
-/// Data and clock of the lidar, a TF-Luna whose pin 5 is at ground: I²C.
+/// Receive and transmit of the lidar's line: a TF-Luna whose pin 5 is open.
 pub(crate) const LIDAR_PINS: [u8; 2] = [43, 44];
 
 /// What the chip's RMT has.

@@ -118,9 +118,13 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
         ..MotionConfig::default()
     };
     record.machine.tell(&mut motion);
-    if record.machine.has_cd {
+    if motion.cd.is_some() {
         motion.shift = Some(board::SHIFT);
         motion.enables = board::ENABLES.into_iter().collect();
+    }
+    // Without their timers, their commands end at once, as on a node that has none.
+    if !cfg!(feature = "timers") {
+        motion.cd = None;
     }
     NodeConfig {
         keys: keys_of(record),

@@ -1,5 +1,6 @@
 //! The node's name in its network, on core 0: the socket around [`periphery::mdns`].
 
+use alloc::vec;
 use embassy_futures::select::{Either, select};
 use embassy_net::{
     IpAddress, IpEndpoint, Stack,
@@ -19,7 +20,10 @@ pub(crate) async fn answer(stack: Stack<'static>, name: NodeId) {
         return;
     };
     let (mut from, mut to) = ([PacketMetadata::EMPTY; 2], [PacketMetadata::EMPTY; 2]);
-    let (mut incoming, mut outgoing) = ([0; QUESTION_BYTES_MAX], [0; 2 * ANSWER_BYTES_MAX]);
+    // On the heap: internal RAM is short.
+    let mut incoming = vec![0; QUESTION_BYTES_MAX];
+    let mut outgoing = vec![0; 2 * ANSWER_BYTES_MAX];
+    let mut bytes = vec![0; QUESTION_BYTES_MAX];
     let mut socket = UdpSocket::new(stack, &mut from, &mut incoming, &mut to, &mut outgoing);
     if socket.bind(PORT).is_err() || stack.join_multicast_group(GROUP).is_err() {
         return;
@@ -36,7 +40,6 @@ pub(crate) async fn answer(stack: Stack<'static>, name: NodeId) {
             let _ = socket.send_to(&out[..used], everybody).await;
             Timer::after(Duration::from_secs(1)).await;
         }
-        let mut bytes = [0; QUESTION_BYTES_MAX];
         // Another address is told to everybody again.
         while let Either::First(received) =
             select(socket.recv_from(&mut bytes), stack.wait_config_down()).await
