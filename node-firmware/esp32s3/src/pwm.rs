@@ -66,7 +66,7 @@ impl PwmRegisters for PwmChip {
         let channel = LEDC::regs().ch(channel);
         // SAFETY: counts of a timer of at most 14 bits; the duty's lowest four bits are for fading.
         unsafe {
-            channel.hpoint().write(|w| w.hpoint().bits(from as u16));
+            channel.hpoint().write(|w| w.hpoint().bits(from as _));
             channel.duty().write(|w| w.duty().bits(counts << 4));
         }
         channel.conf1().write(|w| {
