@@ -228,3 +228,47 @@ fn a_port_that_is_not_there_is_said_to_be_missing() {
     let words = String::from_utf8(output.stderr).expect("UTF-8");
     assert!(words.contains("/dev/no-such-port"), "{words}");
 }
+
+#[test]
+fn what_is_connected_to_a_node_is_told_and_shown_and_forgotten() {
+    let board = Board::new(false);
+    let shown = |line: &[&str]| {
+        let (code, out, err) = board.fleet(&[line, &["--json"]].concat());
+        assert_eq!(code, Some(0), "{err}");
+        let shown: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+        serde_json::json!([shown["switches"], shown["cd"], shown["lidar"]])
+    };
+    let name = ["--name", "left", "--wifi", "shop"];
+    assert_eq!(shown(&name), serde_json::json!([[], false, false]));
+    let told = [
+        "--switch",
+        "0:min=nc,home",
+        "--switch",
+        "probe=no",
+        "--switch",
+        "d:max=nc",
+        "--cd",
+        "--lidar",
+    ];
+    let switches = serde_json::json!(["0:min=nc,home", "probe=no", "d:max=nc"]);
+    assert_eq!(shown(&told), serde_json::json!([switches, true, true]));
+    let again = shown(&["--switch", "probe=nc", "--lidar=no"]);
+    let switches = serde_json::json!(["0:min=nc,home", "probe=nc", "d:max=nc"]);
+    assert_eq!(again, serde_json::json!([switches, true, false]));
+    for wrong in [
+        "0:min",
+        "9:min=no",
+        "c:home=no",
+        "d:min=nc,home",
+        "x:min=no",
+        "probe=yes",
+    ] {
+        let (code, _, err) = board.fleet(&["--switch", wrong]);
+        assert_eq!(code, Some(2), "{wrong}");
+        assert!(err.contains("OF:END=KIND") && err.contains(wrong), "{err}");
+    }
+    let (_, out, _) = board.fleet(&["--no-switches", "--cd=no"]);
+    assert!(out.contains("switches    none\nC and D     no\n"), "{out}");
+    let (record, _) = board.end();
+    assert_eq!(record.machine, provision::Machine::default());
+}

@@ -1,11 +1,19 @@
 //! The pin table: ESP32-S3-DevKitC-1 with the N8R8 module.
 //!
 //! GPIO 26 to 37 belong to flash and octal PSRAM, 19 and 20 to USB, 0, 3, 45 and 46 to the boot
-//! mode. All pins below are under 32, so that one register holds them all. The wiring diagram is in
-//! `node-firmware/README.md`.
+//! mode. 38 or 48, by the kit's revision, is also its coloured lamp, which then flickers with D. The
+//! wiring diagram is in `node-firmware/README.md`.
 
 use esp_hal::gpio::AnyPin;
-use motion::limits::CHANNEL_WORDS;
+use keys::AxisId;
+use motion::{
+    ShiftConfig,
+    io::{
+        enable::{AxisSet, EnableConfig},
+        input::{Role, Switch},
+    },
+    limits::CHANNEL_WORDS,
+};
 use rmt::{Layout, Place};
 
 /// Axes of this board.
@@ -28,6 +36,72 @@ pub(crate) const STOP_PIN: u8 = 10;
 
 /// A lamp that says how the node is.
 pub(crate) const LAMP_PIN: u8 = 11;
+
+/// The input of each switch that there can be. `fleet provision --switch` says which there are; the
+/// others are not looked at.
+pub(crate) const INPUT_PINS: [(Role, u8); 11] = [
+    (of(0, Switch::Min), 1),
+    (of(0, Switch::Max), 2),
+    (of(0, Switch::Home), 8),
+    (of(1, Switch::Min), 9),
+    (of(1, Switch::Max), 12),
+    (of(1, Switch::Home), 13),
+    (Role::Probe, 14),
+    (Role::C(Switch::Min), 16),
+    (Role::C(Switch::Max), 17),
+    (Role::D(Switch::Min), 21),
+    (Role::D(Switch::Max), 47),
+];
+
+const fn of(axis: u8, switch: Switch) -> Role {
+    Role::Axis {
+        axis: AxisId(axis),
+        switch,
+    }
+}
+
+/// Returns the pin of an input.
+pub(crate) fn input_pin(role: Role) -> Option<u8> {
+    let known = INPUT_PINS.iter().find(|(known, _)| *known == role);
+    known.map(|(_, pin)| *pin)
+}
+
+/// Step output of C.
+pub(crate) const STEP_PIN_C: u8 = 38;
+
+/// Step output of D.
+pub(crate) const STEP_PIN_D: u8 = 48;
+
+/// Lines of the shift register: data, clock, latch, and what comes back.
+pub(crate) const SHIFT_PINS: [u8; 4] = [39, 40, 41, 42];
+
+/// Pins of one 74HC595, A to H: direction and enable of C, then of D; E to H are free. To turn X and
+/// Y by it too, name a pin for them here.
+pub(crate) const SHIFT: ShiftConfig = ShiftConfig {
+    pin_count: 8,
+    enable_pins: [None, Some(1), Some(3), None, None, None],
+    direction_pins: [None, None, None, None, Some(0), Some(2)],
+};
+
+/// The enable outputs of a board with C and D: the line of the queue's axes, on from boot on, and
+/// those of C and D behind the register.
+pub(crate) const ENABLES: [EnableConfig; 3] = [
+    EnableConfig {
+        auto: false,
+        ..EnableConfig::auto(AxisSet::QUEUE)
+    },
+    EnableConfig {
+        external: true,
+        ..EnableConfig::auto(AxisSet::C)
+    },
+    EnableConfig {
+        external: true,
+        ..EnableConfig::auto(AxisSet::D)
+    },
+];
+
+/// Receive and transmit of the lidar's line: a TF-Luna whose pin 5 is open.
+pub(crate) const LIDAR_PINS: [u8; 2] = [43, 44];
 
 /// What the chip's RMT has.
 #[cfg(not(feature = "esp32c6"))]

@@ -1,8 +1,9 @@
 //! The node on the board: takes the parts, connects them, lets them run. No decisions here.
 //!
 //! ```text
-//!   core 0: wifi.rs · link.rs (zenoh) · serial.rs · lamp.rs       core 1: plan.rs (the node)
-//!              └────────────── two queues, plan.rs ──────────────────┘   ▲ refill interrupt, rmt.rs
+//!   core 0: wifi.rs · link.rs (zenoh) · serial.rs · lamp.rs · lidar.rs    core 1: plan.rs (the node)
+//!              └────────────── two queues, plan.rs ──────────────────────────┘
+//!                                 core 1's interrupts: refill (rmt.rs), edge (inputs.rs), C (cd.rs)
 //! ```
 //!
 //! On a chip with one core both run there; the refill interrupt comes before either.
@@ -12,31 +13,44 @@
 extern crate alloc;
 
 mod board;
+#[cfg(feature = "timers")]
+mod cd;
 mod flash;
+mod inputs;
 mod lamp;
+mod lidar;
 mod link;
+mod name;
 mod outputs;
 mod panic;
 mod plan;
 mod psram;
+#[cfg(feature = "timers")]
+mod pwm;
 mod rmt;
 mod scripts;
+mod scout;
 mod serial;
+mod shift;
 mod stop_pin;
 mod watchdog;
 mod wifi;
 
 use crate::{
     flash::{BootLoader, CoreFlash},
+    inputs::InputPins,
     outputs::BoardOutputs,
     plan::{IN_MAX, OUT_MAX, Parcel, Planning},
     rmt::RmtBackend,
     serial::RecordFlash,
+    shift::ShiftRegister,
     stop_pin::StopPin,
 };
 use core::{cell::RefCell, sync::atomic::AtomicU32};
 use embassy_executor::Spawner;
 use embassy_net::StackResources;
+#[cfg(feature = "counters")]
+use esp_hal::pcnt::Pcnt;
 use esp_hal::{
     clock::CpuClock, interrupt::Priority, rng::Rng, system::software_reset,
     timer::timg::TimerGroup, usb::usb_serial_jtag::UsbSerialJtag,
@@ -44,9 +58,9 @@ use esp_hal::{
 use esp_rtos::embassy::InterruptExecutor;
 use esp_storage::FlashStorage;
 use esp_wifi::wifi::{ControllerConfig, Interface, WifiController};
-use heapless::spsc::Queue;
-use keys::Keys;
-use motion::{AxisProfile, MotionConfig, PlanMemory};
+use heapless::{Vec, spsc::Queue};
+use keys::{Keys, command::COMMAND_WORDS};
+use motion::{AxisProfile, MotionConfig, PlanMemory, io::input::INPUTS_MAX};
 use node::{Node, NodeConfig, Outbound};
 use provision::{Dialogue, Record, Store};
 use static_cell::{ConstStaticCell, StaticCell};
@@ -99,18 +113,40 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
     for (to, from) in axes.iter_mut().zip(&record.axes) {
         *to = AxisProfile::from(*from);
     }
+    let mut motion = MotionConfig {
+        axis_count: board::AXES,
+        axes,
+        ..MotionConfig::default()
+    };
+    record.machine.tell(&mut motion);
+    if motion.cd.is_some() {
+        motion.shift = Some(board::SHIFT);
+        motion.enables = board::ENABLES.into_iter().collect();
+    }
+    // Without their timers, their commands end at once, as on a node that has none.
+    if !cfg!(feature = "timers") {
+        motion.cd = None;
+    }
     NodeConfig {
         keys: keys_of(record),
         firmware: FIRMWARE,
         boot_script: record.boot_script,
         signers: record.signers.iter().copied().collect(),
-        motion: MotionConfig {
-            axis_count: board::AXES,
-            axes,
-            ..MotionConfig::default()
-        },
+        motion,
         ..NodeConfig::new(name, boot)
     }
+}
+
+/// Returns the pin of each input, in the order in which motion has them; `None`: a switch that the
+/// board has no pin for, or a machine that cannot be.
+fn input_pins(config: &MotionConfig) -> Option<Vec<u8, INPUTS_MAX>> {
+    if let Err(error) = config.check() {
+        esp_println::println!("the machine: {error}");
+        return None;
+    }
+    let roles = (0..INPUTS_MAX).map_while(|index| config.inputs.get(index));
+    let pins = roles.map(|input| board::input_pin(input.role));
+    pins.collect()
 }
 
 fn keys_of(record: &Record) -> Keys {
@@ -138,7 +174,7 @@ fn made_node(
 }
 
 #[embassy_executor::task]
-async fn plan_task(planning: Planning<BoardOutputs>) {
+async fn plan_task(planning: Planning) {
     planning.run().await;
 }
 
@@ -168,7 +204,13 @@ async fn main(spawner: Spawner) -> ! {
         .expect("the partition has two erase units");
     let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
     let record = keep!(Record, dialogue.record().clone());
-    let provisioned = record.is_complete();
+    let boot = random_u64() as u32;
+    let config = record.is_complete().then(|| node_config(record, boot));
+    let pins = config
+        .as_ref()
+        .and_then(|config| input_pins(&config.motion));
+    // A machine that cannot be is like one that nobody has told: nothing moves.
+    let provisioned = pins.is_some();
     let mut keeper = Keeper::boot(
         flash,
         Layout::BOARD,
@@ -187,32 +229,58 @@ async fn main(spawner: Spawner) -> ! {
     }
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
     let port = UsbSerialJtag::new(parts.USB_DEVICE).into_async();
-    if !provisioned {
+    let (Some(mut config), Some(input_pins)) = (config, pins) else {
         serial::run(port, dialogue, true).await;
-    }
+    };
 
     let shelf = scripts::Shelf::open(flash);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
-    let boot = random_u64() as u32;
-    let outputs = BoardOutputs::new();
-    let config = node_config(record, boot);
+    let has_cd = record.machine.has_cd;
+    let outputs = BoardOutputs::new(
+        #[cfg(feature = "timers")]
+        pwm::PwmChip::new(parts.LEDC),
+        has_cd.then(ShiftRegister::new),
+    );
+    if record.machine.has_lidar {
+        spawner.spawn(lidar::read(parts.UART1).expect("spawned once"));
+    }
     let plan_interrupt = parts.FROM_CPU_INTR2;
     let pulse_parts = parts.RMT;
     #[cfg(feature = "counters")]
     let counter_parts = parts.PCNT;
+    #[cfg(feature = "timers")]
+    let timer_parts = parts.MCPWM0;
+    let mux_parts = parts.IO_MUX;
     let start_planning = move || {
-        // On the core that plans, so that its interrupt is served there.
-        let backend = RmtBackend::new(
+        // On the core that plans, so that its interrupts are served there.
+        #[cfg(feature = "counters")]
+        let mut counters = Pcnt::new(counter_parts);
+        #[cfg_attr(
+            not(feature = "timers"),
+            expect(unused_mut, reason = "nothing is added")
+        )]
+        let mut backend = RmtBackend::new(
             pulse_parts,
             #[cfg(feature = "counters")]
-            counter_parts,
+            &counters,
         );
+        #[cfg(feature = "timers")]
+        if has_cd {
+            backend.add_cd(cd::Cd::new(timer_parts, &mut counters));
+        }
+        // They count for as long as this exists.
+        #[cfg(feature = "counters")]
+        core::mem::forget(counters);
+        let (inputs, levels) = InputPins::new(mux_parts, &input_pins);
+        config.motion.input_levels = levels;
         let planning = Planning {
             node: made_node(ring, backend, outputs, config),
             incoming: from_network,
             outgoing: to_network,
             stop_pin: StopPin::new(),
+            inputs,
+            has_psram: ring.len() > psram::SMALL_RING_COMMANDS * COMMAND_WORDS,
             report,
         };
         let executor = keep!(InterruptExecutor<2>, InterruptExecutor::new(plan_interrupt));
@@ -241,6 +309,7 @@ async fn main(spawner: Spawner) -> ! {
     spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));
     spawner.spawn(wifi::network(runner).expect("spawned once"));
     let name = record.name.expect("it is provisioned");
+    spawner.spawn(name::answer(stack, name).expect("spawned once"));
     let link = link::run(
         stack,
         record,

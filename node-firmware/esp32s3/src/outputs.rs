@@ -1,26 +1,36 @@
-//! The outputs beside the step pins: drivers' enable line and laser.
-//!
-//! The laser is on or off: from half power on. Its pulse width follows when it is known which
-//! laser. There is no lidar on this board, so a request for a reading stays unanswered, which the
-//! node's contract allows.
+//! The outputs beside the step pins: drivers' enable line, laser, shift register, the lidar's request.
 
+#[cfg(feature = "timers")]
+use crate::pwm::PwmChip;
 use crate::{
     board::{ENABLE_PIN, LAMP_PIN, LASER_PIN, pin},
+    lidar,
     rmt::set_pin,
+    shift::ShiftRegister,
 };
 use esp_hal::gpio::{Level, Output, OutputConfig};
 use motion::{Ticks, io::enable::OutputChange};
 use node::Outputs;
+#[cfg(feature = "timers")]
+use periphery::Laser;
 
 /// See the module.
 #[derive(Debug)]
 pub(crate) struct BoardOutputs {
     _pins: [Output<'static>; 3],
+    #[cfg(feature = "timers")]
+    laser: Laser,
+    shift: Option<ShiftRegister>,
+    /// What the register has shown since the last look.
+    shown: Option<u32>,
 }
 
 impl BoardOutputs {
     /// Takes the pins; the drivers are switched on, the laser is off.
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(
+        #[cfg(feature = "timers")] mut pwm: PwmChip,
+        shift: Option<ShiftRegister>,
+    ) -> Self {
         let output = |number, level| Output::new(pin(number), level, OutputConfig::default());
         Self {
             _pins: [
@@ -28,25 +38,45 @@ impl BoardOutputs {
                 output(LASER_PIN, Level::Low),
                 output(LAMP_PIN, Level::Low),
             ],
+            #[cfg(feature = "timers")]
+            laser: Laser::new(&mut pwm, 0, 0),
+            shift,
+            shown: None,
         }
+    }
+
+    /// Takes what the shift register has shown since the last call.
+    pub(crate) fn take_shown(&mut self) -> Option<u32> {
+        self.shown.take()
     }
 }
 
 impl Outputs for BoardOutputs {
+    #[cfg(feature = "timers")]
+    fn set_laser(&mut self, power_percent: u8) {
+        self.laser.set(&mut PwmChip, power_percent);
+    }
+
+    /// The HAL of this chip has no pulse widths: on from half power on.
+    #[cfg(not(feature = "timers"))]
     fn set_laser(&mut self, power_percent: u8) {
         set_pin(LASER_PIN, power_percent >= 50);
     }
 
-    fn request_lidar(&mut self) {}
+    fn request_lidar(&mut self) {
+        lidar::ASKED.signal(());
+    }
 
     fn set_enable(&mut self, change: OutputChange, _at: Ticks) {
-        // One line for all drivers, high for on; the enable hardware behind it may still say no.
+        // One line for all drivers of the queue, high for on; the enable hardware behind it may still
+        // say no. Those of C and D are behind the shift register.
         if change.output == 0 {
             set_pin(ENABLE_PIN, change.levels()[1]);
         }
     }
 
-    fn shift_out(&mut self, _word: u32) {
-        // Motion shifts nothing where the configuration has no register, and this board's has none.
+    fn shift_out(&mut self, word: u32) {
+        // Motion shifts nothing where the configuration has no register.
+        self.shown = self.shift.as_mut().map(|shift| shift.exchange(word));
     }
 }

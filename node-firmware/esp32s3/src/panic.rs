@@ -4,7 +4,10 @@
 //! published at the next start. Everything here is in internal RAM as far as the compiler allows:
 //! the formatting of the reason is not, and comes last.
 
-use crate::board::{AXES, DIRECTION_PINS, ENABLE_PIN, LASER_PIN, PLACES};
+use crate::{
+    board::{AXES, DIRECTION_PINS, ENABLE_PIN, LASER_PIN, PLACES, STEP_PIN_C, STEP_PIN_D},
+    rmt::take_pin,
+};
 use core::{
     fmt::{self, Write},
     panic::PanicInfo,
@@ -53,11 +56,13 @@ fn checksum() -> u32 {
     (2..EVENTS_AT).fold(MAGIC, |sum, index| sum.rotate_left(5) ^ get(index))
 }
 
-/// Switches drivers and laser off.
+/// Switches drivers and laser off, and the timers' steps: their pins are taken away from them, so
+/// that it does not matter what a timer does.
 #[ram]
 pub(crate) fn pins_off() {
-    crate::rmt::set_pin(ENABLE_PIN, false);
-    crate::rmt::set_pin(LASER_PIN, false);
+    for pin in [LASER_PIN, ENABLE_PIN, STEP_PIN_C, STEP_PIN_D] {
+        take_pin(pin);
+    }
 }
 
 /// Switches everything off that moves or burns.

@@ -11,6 +11,10 @@
 //! and the gateway sends it again. A stop has its own word and is never dropped.
 
 use crate::{
+    board::AXES,
+    inputs::InputPins,
+    lidar,
+    outputs::BoardOutputs,
     panic,
     rmt::{RmtBackend, WANTED},
     stop_pin::StopPin,
@@ -20,8 +24,11 @@ use embassy_futures::select::select;
 use embassy_sync::{blocking_mutex::raw::CriticalSectionRawMutex, signal::Signal};
 use embassy_time::{Duration, Timer};
 use heapless::spsc::{Consumer, Producer};
-use keys::{LocalMicros, NodeTopic, Stop, StopMode, batch::ORDER_BYTES_MAX, status::FaultCode};
-use node::{Inbound, Node, Outbound, Outputs};
+use keys::{
+    AxisId, LocalMicros, NodeTopic, Stop, StopMode, batch::ORDER_BYTES_MAX, status::FaultCode,
+};
+use motion::StepBackend;
+use node::{Inbound, Node, Outbound};
 
 /// Messages that wait for the node.
 pub(crate) const IN_MAX: usize = 8;
@@ -100,18 +107,22 @@ pub(crate) fn now() -> LocalMicros {
 }
 
 /// The planning task.
-pub(crate) struct Planning<O: Outputs + 'static> {
-    pub(crate) node: &'static mut Node<'static, RmtBackend, O>,
+pub(crate) struct Planning {
+    pub(crate) node: &'static mut Node<'static, RmtBackend, BoardOutputs>,
     pub(crate) incoming: Consumer<'static, Parcel>,
     pub(crate) outgoing: Producer<'static, Outbound>,
     pub(crate) stop_pin: StopPin,
+    pub(crate) inputs: InputPins,
+    /// What is said once, when it starts.
+    pub(crate) has_psram: bool,
     pub(crate) report: Option<panic::Report>,
 }
 
-impl<O: Outputs> Planning<O> {
+impl Planning {
     /// Runs the node for ever.
     pub(crate) async fn run(mut self) -> ! {
         self.tell_report();
+        self.tell_memory();
         let mut link = 0;
         let mut rssi_dbm = 0;
         let mut events_kept = 0;
@@ -119,6 +130,7 @@ impl<O: Outputs> Planning<O> {
         loop {
             self.give_window().await;
             self.take_stop();
+            self.take_inputs();
             self.take_link(&mut link);
             while let Some(parcel) = self.incoming.dequeue() {
                 let payload = &parcel.payload[..];
@@ -134,7 +146,15 @@ impl<O: Outputs> Planning<O> {
                     .handle(now(), Inbound::SignalStrength { rssi_dbm });
             }
             crate::scripts::exchange(self.node, now());
+            let reading_mm = lidar::READING_MM.swap(0, Ordering::AcqRel);
+            if reading_mm > 0 {
+                self.node.handle(now(), Inbound::Lidar { mm: reading_mm });
+            }
             self.node.poll(now());
+            while let Some(word) = self.node.outputs_mut().take_shown() {
+                // Bounded: a word that is wrong is tried again later only.
+                self.node.handle(now(), Inbound::Shift { word });
+            }
             self.give_outbound();
             self.keep_events(&mut events_kept);
             let moves = self.node.motion().is_active();
@@ -165,7 +185,7 @@ impl<O: Outputs> Planning<O> {
     }
 
     async fn wait(&self, moves: bool) {
-        if WANTED.swap(false, Ordering::AcqRel) {
+        if WANTED.swap(false, Ordering::AcqRel) || self.inputs.has_caught() {
             return;
         }
         let latest_us = if moves { TURN_US } else { REST_US };
@@ -187,6 +207,24 @@ impl<O: Outputs> Planning<O> {
         let payload = Stop { mode }.to_payload();
         let topic = NodeTopic::Stop;
         self.node.handle(now(), Inbound::Message { topic, payload });
+    }
+
+    /// Tells the node what its switches did, in order.
+    fn take_inputs(&mut self) {
+        if !self.inputs.has_caught() {
+            return;
+        }
+        let backend = self.node.motion().backend();
+        let counted: [i64; AXES] = core::array::from_fn(|index| {
+            let axis = AxisId(index as u8);
+            backend
+                .counted_steps(axis)
+                .unwrap_or_else(|| backend.played_steps(axis))
+        });
+        let steps = |axis: usize| counted.get(axis).copied().unwrap_or_default();
+        while let Some(level) = self.inputs.poll(steps) {
+            self.node.handle(now(), Inbound::Input(level));
+        }
     }
 
     fn take_link(&mut self, seen: &mut u32) {
@@ -225,6 +263,18 @@ impl<O: Outputs> Planning<O> {
                 panic::keep_event(slot, (at.0 / 1_000) as u32, event.kind() as u32);
             }
         }
+    }
+
+    /// Tells how much the ring holds, and why.
+    fn tell_memory(&mut self) {
+        let commands = self.node.ring_commands();
+        let place = if self.has_psram {
+            "in PSRAM"
+        } else {
+            "in internal RAM: there is no PSRAM"
+        };
+        self.node
+            .tell(now(), format_args!("queue of {commands} commands {place}"));
     }
 
     /// Tells what ended the boot before.

@@ -1,7 +1,7 @@
 //! Memory of the command ring: PSRAM, or a smaller ring in internal RAM where there is none.
 //!
 //! The ring is read by the planning task only, never by the interrupt. What PSRAM is left over goes
-//! to the heap.
+//! to the heap. The node's log says which it is.
 
 use core::sync::atomic::AtomicU32;
 use keys::command::COMMAND_WORDS;

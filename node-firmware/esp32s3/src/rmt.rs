@@ -11,7 +11,7 @@ use core::{
     sync::atomic::{AtomicBool, Ordering},
 };
 use esp_hal::{
-    gpio::{Flex, InputConfig, Level, OutputConfig},
+    gpio::{Flex, InputConfig, Level, OutputConfig, OutputSignal},
     handler,
     interrupt::Priority,
     peripherals::{self, GPIO, RMT, SYSTIMER},
@@ -219,17 +219,40 @@ impl Registers for Chip {
     }
 }
 
-/// Sets an output below 32 by its own bit, so that no other pin is disturbed.
+/// Sets an output by its own bit, so that no other pin is disturbed.
 #[inline(always)]
 pub(crate) fn set_pin(number: u8, high: bool) {
     let gpio = GPIO::regs();
-    if high {
-        // SAFETY: one bit of a register that ignores zeros.
-        gpio.out_w1ts().write(|w| unsafe { w.bits(1 << number) });
-    } else {
-        // SAFETY: as above.
-        gpio.out_w1tc().write(|w| unsafe { w.bits(1 << number) });
+    let bit = 1 << (number % 32);
+    // SAFETY: one bit of a register that ignores zeros.
+    unsafe {
+        match (number < 32, high) {
+            (true, true) => gpio.out_w1ts().write(|w| w.bits(bit)),
+            (true, false) => gpio.out_w1tc().write(|w| w.bits(bit)),
+            (false, true) => gpio.out1_w1ts().write(|w| w.bits(bit)),
+            (false, false) => gpio.out1_w1tc().write(|w| w.bits(bit)),
+        };
     }
+}
+
+/// Takes an output away from whatever peripheral drives it, and sets it low: at once, whatever that
+/// peripheral does.
+#[inline(always)]
+pub(crate) fn take_pin(number: u8) {
+    set_pin(number, false);
+    route_pin(number, OutputSignal::GPIO);
+}
+
+/// Gives an output to a peripheral.
+#[inline(always)]
+pub(crate) fn route_pin(number: u8, signal: OutputSignal) {
+    let config = GPIO::regs().func_out_sel_cfg(usize::from(number));
+    config.modify(|_, w| {
+        // It is an output whatever the peripheral thinks of it.
+        w.oen_sel().set_bit();
+        // SAFETY: the numbers of the chip's own signals are legal.
+        unsafe { w.out_sel().bits(signal as _) }
+    });
 }
 
 /// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
@@ -265,7 +288,9 @@ fn refill() {
 /// The node's back end: the one handle to the streamer.
 #[derive(Debug)]
 pub(crate) struct RmtBackend {
-    _own: (),
+    /// C and D, of a board that has them.
+    #[cfg(feature = "timers")]
+    cd: Option<crate::cd::Cd>,
 }
 
 impl RmtBackend {
@@ -275,7 +300,7 @@ impl RmtBackend {
     /// The RMT refuses its settings, which are constants.
     pub(crate) fn new(
         rmt: RMT<'static>,
-        #[cfg(feature = "counters")] pcnt: peripherals::PCNT<'static>,
+        #[cfg(feature = "counters")] counters: &Pcnt<'static>,
     ) -> Self {
         let mut rmt = Rmt::new(rmt, Rate::from_mhz(80)).expect("80 MHz is a source of its clock");
         // On this core. Nothing raises it before `Streamer::resume`.
@@ -310,7 +335,6 @@ impl RmtBackend {
         core::mem::forget((x.with_pin(x_out), y.with_pin(y_out)));
         #[cfg(feature = "counters")]
         {
-            let counters = Pcnt::new(pcnt);
             let unit = &counters.unit0;
             unit.channel0.set_edge_signal(x_in);
             unit.channel0.set_ctrl_signal(x_dir);
@@ -329,13 +353,21 @@ impl RmtBackend {
                 .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
             unit.clear();
             unit.resume();
-            core::mem::forget(counters);
         }
         #[cfg(not(feature = "counters"))]
         let _ = (x_in, y_in, x_dir, y_dir);
-        let backend = Self { _own: () };
+        let backend = Self {
+            #[cfg(feature = "timers")]
+            cd: None,
+        };
         backend.held().begin();
         backend
+    }
+
+    /// Adds C and D.
+    #[cfg(feature = "timers")]
+    pub(crate) fn add_cd(&mut self, cd: crate::cd::Cd) {
+        self.cd = Some(cd);
     }
 
     /// Gives the streamer with its interrupt held off.
@@ -387,6 +419,19 @@ impl StepBackend for RmtBackend {
 
     fn counted_steps(&self, axis: AxisId) -> Option<i64> {
         self.held().counted_steps(axis)
+    }
+
+    #[cfg(feature = "timers")]
+    fn cd(&mut self) -> Option<&mut dyn motion::CdBackend> {
+        let cd = self.cd.as_mut()?;
+        Some(cd)
+    }
+
+    #[cfg(feature = "timers")]
+    fn counted_c(&self) -> i64 {
+        use motion::CdBackend;
+
+        self.cd.as_ref().map_or(0, crate::cd::Cd::counted_c)
     }
 
     fn take_fault(&mut self) -> Option<FaultCode> {

@@ -22,8 +22,10 @@ impl StopPin {
     /// Takes the pin.
     pub(crate) fn new() -> Self {
         let config = InputConfig::default().with_pull(Pull::Up);
+        let input = Input::new(pin(STOP_PIN), config);
+        crate::inputs::filter(STOP_PIN);
         Self {
-            input: Input::new(pin(STOP_PIN), config),
+            input,
             active: false,
             closed_looks: 0,
         }

@@ -19,7 +19,7 @@ use motion::{
 };
 
 /// Edges that wait for the task: at most one turn's.
-pub const EDGES_MAX: usize = 32;
+pub const EDGES_MAX: usize = 16;
 
 /// The registers of the input pins and what is latched with them.
 ///

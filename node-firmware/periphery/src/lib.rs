@@ -4,7 +4,9 @@
 //!   switches ──▶ glitch filter ──edge──▶ inputs.rs ──PinLevel──▶ motion::io (debounces, decides)
 //!   motion ──word──▶ shift.rs ──▶ 74HC595 ──▶ pins ──▶ 74HC165 ──▶ shift.rs ──word──▶ motion
 //!   motion ──percent──▶ pwm.rs ──LEDC──▶ laser
+//!   lidar ──bytes──▶ lidar.rs ──mm──▶ motion, which waits for it
 //!   motion ──run, halt──▶ cd.rs ──MCPWM──▶ step C ──PCNT──▶ cd.rs;  ──LEDC──▶ step D
+//!   network ──question──▶ mdns.rs ──▶ the node's name and address
 //! ```
 //!
 //! Each file has the trait of the registers that it uses, one method an access, and the logic above
@@ -16,10 +18,13 @@
 
 pub mod cd;
 pub mod inputs;
+pub mod lidar;
+pub mod mdns;
 pub mod pwm;
 pub mod shift;
 
 pub use cd::{CdRegisters, Timers};
 pub use inputs::{Capture, InputRegisters};
+pub use lidar::TfLuna;
 pub use pwm::{Laser, PwmRegisters, PwmTimer};
 pub use shift::ShiftLines;

@@ -5,6 +5,7 @@
 
 use crate::{
     frame::{self, FRAME_BYTES_MAX, FrameReader},
+    machine::Machine,
     record::{NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError},
     store::{Store, StoreError},
 };
@@ -79,6 +80,8 @@ pub struct Shown {
     pub boot_script: bool,
     /// The first bytes of the operators' keys, to tell them apart.
     pub signers: Vec<[u8; SIGNER_SHOWN_BYTES], SIGNERS_MAX>,
+    /// What is connected beside the drivers.
+    pub machine: Machine,
 }
 
 /// How much of an operator's key is shown.
@@ -232,5 +235,6 @@ fn shown(record: &Record) -> Shown {
             .iter()
             .map(|key| [key[0], key[1], key[2], key[3]])
             .collect(),
+        machine: record.machine.clone(),
     }
 }

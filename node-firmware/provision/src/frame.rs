@@ -8,7 +8,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Most bytes of a frame, zeros not counted.
-pub const FRAME_BYTES_MAX: usize = 320;
+pub const FRAME_BYTES_MAX: usize = 448;
 
 /// Most bytes of fields that an older firmware does not know, as zeros.
 const MISSING_BYTES_MAX: usize = 32;

@@ -16,10 +16,12 @@
 pub mod dialogue;
 pub mod frame;
 pub mod host;
+pub mod machine;
 pub mod record;
 pub mod store;
 
 pub use dialogue::{Dialogue, Refused, Reply, Request};
 pub use host::{Host, HostError};
+pub use machine::Machine;
 pub use record::{Record, Setting};
 pub use store::{Store, StoreError};

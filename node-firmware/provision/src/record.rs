@@ -3,6 +3,7 @@
 //! The fields are postcard in this order and are only ever appended: a record of an older firmware
 //! is read by a newer one, whose new fields take their defaults.
 
+use crate::machine::{Machine, SwitchSettings};
 use heapless::{String, Vec};
 use keys::{AXES_MAX, NodeId};
 use motion::AxisProfile;
@@ -134,6 +135,8 @@ pub struct Record {
     /// Public keys (ed25519) of operators: the node executes only what one of them has signed; none:
     /// whatever its gateway sends.
     pub signers: Vec<[u8; 32], SIGNERS_MAX>,
+    /// What is connected beside the drivers.
+    pub machine: Machine,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -170,6 +173,14 @@ pub enum Setting {
     Signer([u8; 32]),
     /// Forgets all operators: the node executes whatever its gateway sends.
     NoSigners,
+    /// One more switch, or other settings of one that is known.
+    Switch(SwitchSettings),
+    /// Forgets all switches.
+    NoSwitches,
+    /// Whether C and D are there.
+    HasCd(bool),
+    /// Whether the lidar is there.
+    HasLidar(bool),
 }
 
 /// A setting does not fit.
@@ -189,6 +200,8 @@ pub enum SettingError {
     Address,
     /// [`SIGNERS_MAX`] are known already.
     Signers,
+    /// There can be no such switch.
+    Switch,
 }
 
 impl Record {
@@ -253,6 +266,14 @@ impl Record {
                 }
             }
             Setting::NoSigners => self.signers.clear(),
+            Setting::Switch(settings) => {
+                if !settings.is_legal() || !self.machine.add(settings) {
+                    return Err(SettingError::Switch);
+                }
+            }
+            Setting::NoSwitches => self.machine.switches.clear(),
+            Setting::HasCd(has) => self.machine.has_cd = has,
+            Setting::HasLidar(has) => self.machine.has_lidar = has,
         }
         Ok(())
     }
@@ -273,6 +294,7 @@ pub fn router_address(locator: &str) -> Option<(&str, u16)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::{End, SwitchOf};
 
     fn text<const N: usize>(text: &str) -> String<N> {
         String::try_from(text).expect("short")
@@ -381,6 +403,13 @@ mod tests {
         while record.axes.push(most).is_ok() {}
         record.update_key = Some([0xff; 32]);
         while record.signers.push([0xff; 32]).is_ok() {}
+        let switch = SwitchSettings {
+            of: SwitchOf::Axis(0xff),
+            end: End::Home,
+            normally_closed: true,
+            homes: true,
+        };
+        while record.machine.switches.push(switch).is_ok() {}
         let mut buffer = [0; RECORD_BYTES_MAX];
         assert!(postcard::to_slice(&record, &mut buffer).is_ok());
     }

@@ -182,6 +182,7 @@ fn decode(bytes: &[u8]) -> Option<Record> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::machine::Machine;
 
     /// What the first firmware kept: every field set, before there were boot scripts and signers.
     const OLDER: &[u8] = &[
@@ -216,11 +217,12 @@ mod tests {
         assert!(record.axes[0].direction_inverted);
         assert_eq!(record.update_key, Some([9; 32]));
         assert!(!record.boot_script && record.signers.is_empty());
+        assert_eq!(record.machine, Machine::default());
         // And the same record is still written so, with the new fields behind.
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
         let (older, newer) = bytes.split_at(OLDER.len());
-        assert_eq!((older, newer), (OLDER, &[0, 0][..]));
+        assert_eq!((older, newer), (OLDER, &[0; 5][..]));
     }
 
     #[test]

@@ -7,6 +7,7 @@ use provision::{
     Host, Reply, Request, Setting,
     dialogue::{SIGNER_SHOWN_BYTES, Shown},
     frame::FRAME_BYTES_MAX,
+    machine::{End, SwitchOf, SwitchSettings},
     record::{Login, Network, SIGNERS_MAX},
 };
 use serialport::SerialPort;
@@ -67,6 +68,38 @@ pub(crate) struct Provision {
     /// Forget the operators' keys: the node executes whatever its gateway sends.
     #[arg(long, conflicts_with = "signers")]
     no_signers: bool,
+
+    /// A switch to ground: OF:END=KIND, as in `0:min=nc,home`. OF is an axis, c or d; END is min, max or
+    /// home; KIND is no (normally open) or nc (normally closed); `home`: the axis is homed by it. The
+    /// probe is `probe=KIND`. Which pin it is on: see node-firmware/README.md. May be repeated.
+    #[arg(long, value_name = "OF:END=KIND", value_parser = switch)]
+    switch: Vec<SwitchSettings>,
+
+    /// Forget all switches that the node was told before.
+    #[arg(long)]
+    no_switches: bool,
+
+    /// C and D are connected, with their shift register; `--cd=no`: they are not.
+    #[arg(
+        long,
+        value_name = "yes|no",
+        value_enum,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "yes"
+    )]
+    cd: Option<YesNo>,
+
+    /// The lidar is connected; `--lidar=no`: it is not.
+    #[arg(
+        long,
+        value_name = "yes|no",
+        value_enum,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "yes"
+    )]
+    lidar: Option<YesNo>,
 
     /// Forget everything that the node was told before.
     #[arg(long)]
@@ -140,7 +173,79 @@ impl Provision {
         if self.no_signers {
             settings.push(Setting::NoSigners);
         }
+        if self.no_switches {
+            settings.push(Setting::NoSwitches);
+        }
+        settings.extend(self.switch.iter().copied().map(Setting::Switch));
+        settings.extend(self.cd.map(|has| Setting::HasCd(has == YesNo::Yes)));
+        settings.extend(self.lidar.map(|has| Setting::HasLidar(has == YesNo::Yes)));
         Ok(settings)
+    }
+}
+
+fn switch(text: &str) -> Result<SwitchSettings, String> {
+    let parse = || {
+        let (place, kind) = text.split_once('=')?;
+        let (of, end) = match place.split_once(':') {
+            None if place == "probe" => (SwitchOf::Probe, End::Min),
+            Some((of, end)) => {
+                let of = match of {
+                    "c" => SwitchOf::C,
+                    "d" => SwitchOf::D,
+                    axis => SwitchOf::Axis(axis.parse().ok()?),
+                };
+                let end = match end {
+                    "min" => End::Min,
+                    "max" => End::Max,
+                    "home" => End::Home,
+                    _ => return None,
+                };
+                (of, end)
+            }
+            None => return None,
+        };
+        let (kind, homes) = match kind.strip_suffix(",home") {
+            Some(kind) => (kind, true),
+            None => (kind, false),
+        };
+        let normally_closed = match kind {
+            "nc" => true,
+            "no" => false,
+            _ => return None,
+        };
+        let settings = SwitchSettings {
+            of,
+            end,
+            normally_closed,
+            homes,
+        };
+        settings.is_legal().then_some(settings)
+    };
+    parse().ok_or_else(|| "no OF:END=KIND like 0:min=nc,home or d:max=no or probe=no".to_owned())
+}
+
+fn named(switch: &SwitchSettings) -> String {
+    let end = match switch.end {
+        End::Min => "min",
+        End::Max => "max",
+        End::Home => "home",
+    };
+    let place = match switch.of {
+        SwitchOf::Axis(axis) => format!("{axis}:{end}"),
+        SwitchOf::C => format!("c:{end}"),
+        SwitchOf::D => format!("d:{end}"),
+        SwitchOf::Probe => "probe".to_owned(),
+    };
+    let kind = if switch.normally_closed { "nc" } else { "no" };
+    let homes = if switch.homes { ",home" } else { "" };
+    format!("{place}={kind}{homes}")
+}
+
+fn none_or(list: &[String], between: &str) -> String {
+    if list.is_empty() {
+        "none".to_owned()
+    } else {
+        list.join(between)
     }
 }
 
@@ -244,6 +349,7 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
         .map(heapless::String::as_str)
         .collect();
     let signers: Vec<_> = shown.signers.iter().map(hex).collect();
+    let switches: Vec<_> = shown.machine.switches.iter().map(named).collect();
     if json {
         let line = serde_json::json!({
             "firmware": format!("{major}.{minor}.{patch}"),
@@ -255,6 +361,9 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
             "update_key": shown.has_update_key,
             "boot_script": shown.boot_script,
             "signers": signers,
+            "switches": switches,
+            "cd": shown.machine.has_cd,
+            "lidar": shown.machine.has_lidar,
         });
         println!("{line}");
         return;
@@ -279,6 +388,10 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
         signers.join("…, ") + "…"
     };
     println!("signers     {signers}");
+    let is_there = |there| if there { "connected" } else { "no" };
+    println!("switches    {}", none_or(&switches, " "));
+    println!("C and D     {}", is_there(shown.machine.has_cd));
+    println!("lidar       {}", is_there(shown.machine.has_lidar));
 }
 
 fn hex(bytes: &[u8; SIGNER_SHOWN_BYTES]) -> String {

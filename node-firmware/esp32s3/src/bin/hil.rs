@@ -8,21 +8,58 @@
 //! | turns | 2,000 changes of direction, none lost |
 //! | halts | 500 stops anywhere; their difference is what `board::PREFETCH_WORDS` is off by |
 //! | starts | from the order to the first edge, against the lead-in that was asked for |
+//! | inputs | every switch input, moved by its own pin: one edge each, in order, at its time |
+//! | C | runs of 1 to 70,000 steps end by themselves with exactly as many, counted at the pin |
+//! | laser | share of time that its pin is high, at 0 to 100 % |
+//! | shift register | 256 words there and back; without one it is said and skipped |
+//!
+//! The RMT's receivers are not used: with two axes their blocks belong to the transmitters, so what
+//! leaves a pin is read back by its counter.
 #![no_std]
 #![no_main]
 
 #[path = "../board.rs"]
 #[expect(dead_code, reason = "the pin table is that of the firmware")]
 mod board;
+#[cfg(feature = "timers")]
+#[path = "../cd.rs"]
+mod cd;
+#[path = "../inputs.rs"]
+mod inputs;
+#[cfg(feature = "timers")]
+#[path = "../pwm.rs"]
+mod pwm;
 #[path = "../rmt.rs"]
+#[cfg_attr(
+    feature = "timers",
+    expect(dead_code, reason = "C is tried by itself here")
+)]
 mod rmt;
+#[path = "../shift.rs"]
+mod shift;
 
-use crate::rmt::{RmtBackend, WANTED, now_ticks};
+#[cfg(feature = "timers")]
+use crate::{cd::Cd, pwm::PwmChip};
+use crate::{
+    inputs::InputPins,
+    rmt::{RmtBackend, WANTED, now_ticks},
+    shift::ShiftRegister,
+};
 use core::sync::atomic::{AtomicU32, Ordering};
-use esp_hal::{clock::CpuClock, main, system::software_reset};
+#[cfg(feature = "counters")]
+use esp_hal::pcnt::Pcnt;
+#[cfg(feature = "timers")]
+use esp_hal::peripherals::GPIO;
+use esp_hal::{clock::CpuClock, gpio::Flex, main, peripherals::IO_MUX, system::software_reset};
 use esp_println::println;
 use keys::{AxisId, Command, StopMode, command::COMMAND_WORDS};
-use motion::{CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, Ticks};
+#[cfg(feature = "timers")]
+use motion::CdBackend;
+use motion::{
+    CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, TICKS_PER_US, Ticks,
+};
+#[cfg(feature = "timers")]
+use periphery::Laser;
 use static_cell::ConstStaticCell;
 
 esp_bootloader_esp_idf::esp_app_desc!();
@@ -104,15 +141,126 @@ fn steps(delay_us: u32, steps: i32) -> Command {
     }
 }
 
+/// Waits.
+fn rest(us: u64) {
+    let until = now_ticks() + us * TICKS_PER_US;
+    while now_ticks() < until {}
+}
+
+/// Every switch input is pressed and released by its own pin. Nothing may be connected that holds it.
+fn check_inputs(io_mux: IO_MUX<'static>) -> u32 {
+    let numbers = board::INPUT_PINS.map(|(_, number)| number);
+    // Before they are inputs: taking a pin resets it.
+    let mut pins = numbers.map(|number| Flex::new(board::pin(number)));
+    let (mut inputs, levels) = InputPins::new(io_mux, &numbers);
+    if levels.count_ones() as usize != numbers.len() {
+        println!("note inputs: {levels:#b} at rest, all high expected");
+    }
+    let mut failures = 0;
+    for (index, (number, pin)) in numbers.iter().zip(&mut pins).enumerate() {
+        pin.set_high();
+        pin.set_output_enable(true);
+        for high in [false, true] {
+            let at = now_ticks();
+            pin.set_level(high.into());
+            rest(50);
+            let told = inputs.poll(|_| 0);
+            let right = told.is_some_and(|told| {
+                let late_ticks = told.at.0.wrapping_sub(at);
+                told.index == index && told.level == high && late_ticks < 20 * TICKS_PER_US
+            });
+            if !right || inputs.has_caught() && inputs.poll(|_| 0).is_some() {
+                failures += 1;
+                println!("FAIL inputs: GPIO {number} to {high}: {told:?}");
+            }
+        }
+        pin.set_output_enable(false);
+    }
+    println!("inputs: {failures} failures");
+    failures
+}
+
+/// 256 words through the shift register.
+fn check_shift() -> u32 {
+    let mut register = ShiftRegister::new();
+    if (0..256).all(|word| register.exchange(word) == 0) {
+        println!("SKIP shift register: nothing comes back");
+        return 0;
+    }
+    let wrong = (0..256_u32).filter(|word| register.exchange(*word) != *word);
+    let failures = wrong.count() as u32;
+    register.exchange(0);
+    println!("shift register: {failures} of 256 words wrong");
+    failures
+}
+
+/// C's runs, counted at the pin.
+#[cfg(feature = "timers")]
+fn check_c(c: &mut Cd) -> u32 {
+    let mut failures = 0;
+    let mut expected = 0;
+    for (steps, interval_ticks) in [(1, 16_000), (-2, 1_600), (1_000, 800), (-70_000, 800)] {
+        expected += steps;
+        c.run_c(Ticks(now_ticks()), steps, interval_ticks);
+        while c.is_c_running() {
+            c.service(Ticks(now_ticks()));
+        }
+        rest(5_000);
+        let counted = c.counted_c();
+        if counted != expected {
+            failures += 1;
+            println!("FAIL C: {counted} steps, {expected} expected");
+            expected = counted;
+        }
+    }
+    println!("C: {failures} failures");
+    failures
+}
+
+/// The laser's share of time. Nothing that burns may be connected.
+#[cfg(feature = "timers")]
+fn check_laser(mut pwm: PwmChip) -> u32 {
+    let pin = board::LASER_PIN;
+    IO_MUX::regs()
+        .gpio(usize::from(pin))
+        .modify(|_, w| w.fun_ie().set_bit());
+    PwmChip::take(0);
+    let mut laser = Laser::new(&mut pwm, 0, 0);
+    let mut failures = 0;
+    for percent in [0, 1, 25, 50, 99, 100, 0] {
+        laser.set(&mut pwm, percent);
+        rest(1_000);
+        let (mut high, mut all) = (0_u32, 0_u32);
+        let until = now_ticks() + 20_000 * TICKS_PER_US;
+        while now_ticks() < until {
+            high += GPIO::regs().in_().read().bits() >> pin & 1;
+            all += 1;
+        }
+        let found = high * 100 / all;
+        if found.abs_diff(u32::from(percent)) > 1 {
+            failures += 1;
+            println!("FAIL laser: {found} % of the time, {percent} expected");
+        }
+    }
+    println!("laser: {failures} failures");
+    failures
+}
+
 #[main]
 fn main() -> ! {
     let parts = esp_hal::init(esp_hal::Config::default().with_cpu_clock(CpuClock::max()));
     // A dependency may ask for a heap; nothing here does.
     esp_alloc::heap_allocator!(size: 1024);
+    #[cfg(feature = "counters")]
+    #[cfg_attr(
+        not(feature = "timers"),
+        expect(unused_mut, reason = "C is what changes it")
+    )]
+    let mut counters = Pcnt::new(parts.PCNT);
     let backend = RmtBackend::new(
         parts.RMT,
         #[cfg(feature = "counters")]
-        parts.PCNT,
+        &counters,
     );
     static PLANS: ConstStaticCell<PlanMemory> = ConstStaticCell::new(PlanMemory::new());
     let motion = Motion::new(
@@ -154,6 +302,14 @@ fn main() -> ! {
     println!("halts: ledger minus counter, -4 to +4: {histogram:?}");
     println!("       all in the middle: PREFETCH_WORDS is right; else it is off by the place");
     bench.failures += u32::from(histogram[4] != 500);
+    #[cfg(feature = "timers")]
+    {
+        let pwm = PwmChip::new(parts.LEDC);
+        bench.failures += check_c(&mut Cd::new(parts.MCPWM0, &mut counters));
+        bench.failures += check_laser(pwm);
+    }
+    bench.failures += check_inputs(parts.IO_MUX);
+    bench.failures += check_shift();
     println!("{} failures", bench.failures);
     loop {}
 }
