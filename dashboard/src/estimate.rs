@@ -128,6 +128,7 @@ impl Walk {
             }
             JobCommand::Home(_)
             | JobCommand::Barrier(_)
+            | JobCommand::WaitResume(_)
             | JobCommand::MoveC(_)
             | JobCommand::MoveD(_) => {
                 self.estimate.open_ended += 1;

@@ -9,7 +9,7 @@ use crate::{
     },
     job::{
         gcode::Machines,
-        parse::{Parsed, parse_for, parse_group},
+        parse::{Parsed, parse_for, parse_group_for},
     },
 };
 use keys::{
@@ -128,7 +128,7 @@ fn read_addressed(
         Addressee::Node(pattern) => pattern,
         Addressee::Label(label) => format!("@{label}"),
         Addressee::Group(pattern) => {
-            let Parsed { request, id_hint } = parse_group(encoding, payload);
+            let Parsed { request, id_hint } = parse_group_for(encoding, payload, machines);
             return Event::SubmitGroup {
                 pattern,
                 request,

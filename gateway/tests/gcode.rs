@@ -3,7 +3,7 @@
 
 use gateway::job::{
     gcode::{Machine, Machines, Program, compile},
-    parse::parse_for,
+    parse::{parse_for, parse_group_for},
 };
 use keys::{
     JobId, NodeId,
@@ -266,7 +266,7 @@ fn what_is_wrong_is_told_with_line_and_column() {
         ("S2000", "line 1, column 1: ", "not within 0 to 1000"),
         ("G4", "line 1, column 1: ", "needs P"),
         ("G80\nX1", "line 2, column 1: ", "G80"),
-        ("M0", "line 1, column 1: ", "split the program"),
+        ("M6", "line 1, column 1: ", "no tool changer"),
         ("M6 T1", "line 1, column 1: ", "tool"),
         ("M8", "line 1, column 1: ", "coolant"),
         ("G0 X1 (open\nG0 X2", "line 1, column 7: ", "not closed"),
@@ -377,4 +377,57 @@ fn a_job_in_gcode_is_for_one_node_whose_machine_is_known() {
         assert_eq!(error.code, code, "{error}");
         assert!(error.message.contains(words), "{error}");
     }
+}
+
+#[test]
+fn m0_and_m1_rest_until_somebody_resumes_and_the_beam_comes_back_behind_them() {
+    let program = compile("G91 F600 M3 S500\nG1 X1\nM0\nX1\nm01\nX1 M5\n", &machine());
+    let commands = program.expect("legal").commands;
+    let words: Vec<&str> = commands.iter().map(JobCommand::word).collect();
+    assert_eq!(
+        words,
+        [
+            "laser",
+            "line",
+            "wait_resume",
+            "line",
+            "wait_resume",
+            "laser",
+            "line"
+        ]
+    );
+    let error = compile("M0 M1\n", &machine()).expect_err("two of a kind");
+    assert_eq!((error.line, error.column), (1, 4));
+}
+
+#[test]
+fn parts_of_a_synchronized_job_may_be_gcode_each_for_its_own_machine() {
+    let node = |name: &str| NodeId::new(name).expect("legal");
+    let coarse = Machine::alike(3, 10.0, 6_000.0, 500.0);
+    let machines = Machines::from([(node("left"), machine()), (node("right"), coarse)]);
+    let read = |text: &str| parse_group_for("application/json", text.as_bytes(), &machines);
+    let both = r#"{"id":"g","nodes":{"left":{"gcode":"G91 G0 X1"},"right":{"gcode":"G91 G0 X1"}}}"#;
+    let request = read(both).request.expect("legal");
+    let steps = |name: &str| match &request.nodes[&node(name)] {
+        Work::Commands(commands) => match &commands[..] {
+            [JobCommand::Line(line)] => line.steps[0],
+            other => panic!("{other:?}"),
+        },
+        other => panic!("{other:?}"),
+    };
+    assert_eq!((steps("left"), steps("right")), (80, 10));
+    let wrong = both.replace("G91 G0 X1\"}}", "G91\\nG0 Q1\"}}");
+    let error = read(&wrong).request.expect_err("Q");
+    assert_eq!(
+        error.message,
+        "nodes.right.gcode: line 2, column 4: `Q` means nothing here"
+    );
+    let error = read(&both.replace("right", "third"))
+        .request
+        .expect_err("unknown");
+    assert!(
+        error
+            .message
+            .starts_with("nodes.third.gcode: the gateway does not know")
+    );
 }

@@ -734,3 +734,34 @@ fn templates_schedules_and_queues_are_kept_by_the_gateway() {
     assert!(ran.out.contains("succeeded"), "{}", ran.out);
     nodes.end();
 }
+
+#[test]
+fn a_program_waits_at_m0_until_somebody_resumes_it() {
+    let plant = Plant::start(&[]);
+    let nodes = Nodes::start(&plant, &["left"]);
+    let part = plant.file("turn.gcode", "G91 F600\nG1 X1\nM0 (turn the part)\nG1 X1\n");
+    plant.types(true, &["submit", &part, "--node", "left", "--id", "turn"]);
+    until("it waits", || {
+        let ran = plant.types(true, &["nodes", "--json"]);
+        ran.out.contains(r#""state":"paused""#).then_some(())
+    });
+    plant.types(true, &["resume", "left"]);
+    until("it goes on to its end", || {
+        let ran = plant.types(true, &["jobs", "--json"]);
+        ran.out.contains(r#""state":"succeeded""#).then_some(())
+    });
+    let ran = plant.types(true, &["trace", "turn"]);
+    let events = [
+        "first pulse",
+        "held on its path",
+        "goes on",
+        "last pulse is out",
+    ];
+    let places: Vec<Option<usize>> = events.iter().map(|event| ran.out.find(event)).collect();
+    assert!(
+        places.iter().all(Option::is_some) && places.is_sorted(),
+        "{}",
+        ran.out
+    );
+    nodes.end();
+}

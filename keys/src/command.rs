@@ -13,6 +13,10 @@ pub const COMMAND_WORDS: usize = 8;
 /// Axes that a [`Command::Line`] coordinates.
 pub const LINE_AXES: usize = 4;
 
+/// The barrier at which a node of its own rests until a client resumes: a part is turned, a tool is
+/// changed.
+pub const BARRIER_RESUME: u16 = u16::MAX;
+
 /// Highest number of a named position of C.
 pub const POSITION_C_MAX: u8 = 4;
 
@@ -92,7 +96,7 @@ pub enum Command {
     },
     /// All axes rest until the meeting point is lifted.
     Barrier {
-        /// Number of the meeting point within its job.
+        /// Number of the meeting point within its job; [`BARRIER_RESUME`]: until a client resumes.
         barrier: u16,
     },
     /// Moves C to one of its named positions.

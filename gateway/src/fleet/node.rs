@@ -39,6 +39,7 @@ use crate::job::{Change, Ending, Job, book::Book, group::Passed};
 use keys::{
     Fault, Features, FleetMicros, GroupId, JobId, Keys, NodeId, NodeTopic, QueueId, Status,
     StopMode, StopReason,
+    command::BARRIER_RESUME,
     record::{ErrorCode, JobError, JobState, NodeRecord, no_such_axis},
 };
 use serde::{Deserialize, Serialize};
@@ -394,7 +395,16 @@ impl Node {
                     format!("commands[{index}].{word}: not supported by this node's firmware");
                 return Err(JobError::new(ErrorCode::BadCommand, message));
             }
-            if let keys::Command::Barrier { .. } = command
+            if let keys::Command::Barrier { barrier } = command
+                && *barrier == BARRIER_RESUME
+            {
+                if synchronized {
+                    let message = format!(
+                        "commands[{index}].wait_resume: not in a synchronized job: the others would go on"
+                    );
+                    return Err(JobError::new(ErrorCode::BadCommand, message));
+                }
+            } else if let keys::Command::Barrier { .. } = command
                 && !synchronized
             {
                 let message =

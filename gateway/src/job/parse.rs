@@ -159,12 +159,55 @@ fn read_gcode(pattern: &str, id: Option<JobId>, payload: &[u8], machines: &Machi
 
 /// Reads a synchronized job: JSON or postcard, as [`parse`]. A script alone has no parts.
 pub fn parse_group(encoding: &str, payload: &[u8]) -> Parsed<GroupRequest> {
+    parse_group_for(encoding, payload, &Machines::new())
+}
+
+/// Turns the parts of a synchronized job that are G-code, `{"gcode":"…"}`, into commands for the machines
+/// of their nodes. `None`: there is none, or it is no such job, which is told where it is read.
+fn without_gcode(payload: &[u8], machines: &Machines) -> Result<Option<Vec<u8>>, JobError> {
+    // Most have none, and a large one is not read twice for that.
+    if !payload.windows(7).any(|window| window == b"\"gcode\"") {
+        return Ok(None);
+    }
+    let Ok(mut job) = serde_json::from_slice::<serde_json::Value>(payload) else {
+        return Ok(None);
+    };
+    let Some(nodes) = job.get_mut("nodes").and_then(|nodes| nodes.as_object_mut()) else {
+        return Ok(None);
+    };
+    for (name, part) in nodes {
+        let Some(part) = part.as_object_mut().filter(|part| part.len() == 1) else {
+            continue;
+        };
+        let Some(serde_json::Value::String(text)) = part.get("gcode") else {
+            continue;
+        };
+        let read = read_gcode(name, None, text.as_bytes(), machines).request;
+        let work = read.map_err(|error| {
+            let message = format!("nodes.{name}.gcode: {}", error.message);
+            JobError::new(error.code, message)
+        })?;
+        if let Work::Commands(commands) = work.work {
+            let commands = serde_json::to_value(commands).expect("commands are written in JSON");
+            *part = [("commands".to_owned(), commands)].into_iter().collect();
+        }
+    }
+    Ok(Some(job.to_string().into_bytes()))
+}
+
+/// Reads a synchronized job whose parts may be G-code, too.
+pub fn parse_group_for(
+    encoding: &str,
+    payload: &[u8],
+    machines: &Machines,
+) -> Parsed<GroupRequest> {
     if payload.len() > JOB_BYTES_MAX {
         let message = format!("{} bytes; a job has at most {JOB_BYTES_MAX}", payload.len());
         return Parsed::refused(ErrorCode::TooLarge, message);
     }
     let request = match Form::from_encoding(encoding, payload) {
-        Ok(Form::Json) => GroupRequest::from_json(payload),
+        Ok(Form::Json) => without_gcode(payload, machines)
+            .and_then(|read| GroupRequest::from_json(read.as_deref().unwrap_or(payload))),
         Ok(Form::Postcard) => GroupRequest::from_postcard(payload),
         Ok(Form::Lua) => Err(JobError::new(
             ErrorCode::BadJson,

@@ -3,6 +3,7 @@
 use super::{GroupRequest, JobCommand, Work};
 use crate::{
     NodeId,
+    command::BARRIER_RESUME,
     record::{ErrorCode, JobError},
 };
 use std::{collections::BTreeMap, format, vec::Vec};
@@ -47,11 +48,12 @@ impl GroupRequest {
             }
             lists.push((node, list));
         }
-        if parts_of.len() > usize::from(u16::MAX) {
+        // The last number is another one's.
+        if parts_of.len() >= usize::from(BARRIER_RESUME) {
             let message = format!(
                 "nodes: {} meeting points; there can be at most {}",
                 parts_of.len(),
-                u16::MAX
+                BARRIER_RESUME - 1
             );
             return Err(JobError::new(ErrorCode::TooLarge, message));
         }

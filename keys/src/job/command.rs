@@ -6,7 +6,7 @@
 use super::{BARRIER_BYTES_MAX, MOVE_US_MAX, PAUSE_MS_MAX, SPEED_HZ_MAX};
 use crate::{
     AxisId, Command,
-    command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
+    command::{BARRIER_RESUME, LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
     record::{ErrorCode, JobError},
 };
 use core::{fmt, marker::PhantomData};
@@ -59,6 +59,9 @@ pub enum JobCommand {
     /// Where C and D are.
     #[serde(rename = "statcd", deserialize_with = "object")]
     StatusCd(StatusCdFields),
+    /// A rest until a client resumes the node.
+    #[serde(deserialize_with = "object")]
+    WaitResume(WaitResumeFields),
 }
 
 /// Reads the fields of a command. In text they have names: serde alone would take an array, too.
@@ -212,6 +215,10 @@ fields! {
     }
 }
 fields! {
+    /// Fields of `wait_resume`: none.
+    WaitResumeFields {}
+}
+fields! {
     /// Fields of `barrier`.
     BarrierFields {
         /// Name of the meeting point, the same in every part that meets there.
@@ -276,6 +283,7 @@ impl JobCommand {
             Self::MoveC(_) => "movc",
             Self::MoveD(_) => "movd",
             Self::StatusCd(_) => "statcd",
+            Self::WaitResume(_) => "wait_resume",
         }
     }
 
@@ -407,7 +415,8 @@ impl JobCommand {
             | Self::Barrier(_)
             | Self::MoveC(_)
             | Self::MoveD(_)
-            | Self::StatusCd(_) => Ok(()),
+            | Self::StatusCd(_)
+            | Self::WaitResume(_) => Ok(()),
         }
     }
 
@@ -481,6 +490,9 @@ impl JobCommand {
             },
             Self::MoveD(f) => Command::MoveD { on: f.on },
             Self::StatusCd(_) => Command::StatusCd,
+            Self::WaitResume(_) => Command::Barrier {
+                barrier: BARRIER_RESUME,
+            },
         }
     }
 }

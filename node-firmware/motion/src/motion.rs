@@ -384,6 +384,11 @@ impl<'m, B: StepBackend> Motion<'m, B> {
         self.barrier != Barrier::Open
     }
 
+    /// Returns the oldest command that is not planned: at a barrier, the barrier.
+    pub fn waiting_command(&self) -> Option<Command> {
+        self.ring.peek()
+    }
+
     /// Goes on at `start_at`: the commands behind the barrier begin on that tick, by the lead-in of
     /// the pulse train. Not at a barrier, nothing happens.
     pub fn release_barrier(&mut self, start_at: Ticks) {

@@ -32,6 +32,9 @@ pub const READY_US: u64 = 100_000;
 /// Least time from the last moment of a confirmation to the start: the lead-in must be loaded.
 pub const CONFIRM_MARGIN_US: u64 = 2_000;
 
+/// Time from the word that resumes to the first command behind a rest: the lead-in must be loaded.
+pub const RESUME_LEAD_US: u64 = 20_000;
+
 /// How often a start is told.
 pub const STARTED_COUNT: u8 = 5;
 

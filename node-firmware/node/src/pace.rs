@@ -5,9 +5,10 @@
 //! agreed is not held back, since the others would go without this node: the hold counts from then on.
 //! A stop ends a hold; the speed stays until it is changed or the node boots.
 
-use crate::{Node, Outputs, start::Start, stop::Phase, trace::Event};
+use crate::{Node, Outputs, limits::RESUME_LEAD_US, start::Start, stop::Phase, trace::Event};
 use keys::{
-    LocalMicros,
+    Command, LocalMicros,
+    command::BARRIER_RESUME,
     pace::{PaceMessage, SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
     trace::TraceWord,
     version,
@@ -26,6 +27,8 @@ pub(crate) struct Pace {
     counted: (bool, u16),
     /// It must be told.
     pub(crate) due: bool,
+    /// The barrier of this number is its own, and whether it still rests there.
+    own: Option<(u64, bool)>,
 }
 
 impl Pace {
@@ -36,7 +39,18 @@ impl Pace {
             percent: 100,
             counted: (false, 100),
             due: false,
+            own: None,
         }
+    }
+
+    /// Returns whether the node rests at a barrier of its own.
+    pub(crate) const fn waits(&self) -> bool {
+        matches!(self.own, Some((_, true)))
+    }
+
+    /// Returns whether a barrier is nobody else's.
+    pub(crate) fn is_own(&self, command: u64) -> bool {
+        self.own.is_some_and(|(own, _)| own == command)
     }
 }
 
@@ -66,7 +80,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 }
                 match hold.filter(|_| self.phase == Phase::Open) {
                     Some(true) => self.hold(now),
-                    Some(false) => self.resume(),
+                    Some(false) => self.resume(now),
                     None => {}
                 }
                 // Also if all is as before: what was said with the same number is old now.
@@ -85,9 +99,32 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     }
 
     /// Goes on after a hold.
-    pub(crate) fn resume(&mut self) {
+    pub(crate) fn resume(&mut self, now: LocalMicros) {
         self.pace.hold_due = false;
         self.motion.resume();
+        if let Some((_, waits @ true)) = &mut self.pace.own {
+            *waits = false;
+            let at = now.plus_us(RESUME_LEAD_US);
+            self.motion.release_barrier(crate::ticks_from_local(at));
+        }
+    }
+
+    /// Everything before a barrier has ended. Returns whether it is the node's own: it rests there until
+    /// it is resumed, as if it were held.
+    pub(crate) fn rest_until_resumed(&mut self, command: u64, now: LocalMicros) -> bool {
+        let next = self.motion.waiting_command();
+        let own = next
+            == Some(Command::Barrier {
+                barrier: BARRIER_RESUME,
+            });
+        if own {
+            self.pace.own = Some((command, true));
+            self.log(
+                now,
+                format_args!("waits at command {command} until it is resumed"),
+            );
+        }
+        own
     }
 
     /// Sets the speed of ramps and lines; `false`: it is out of range, and nothing has changed.
@@ -105,7 +142,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Returns whether it rests on its path, or is about to. A stop that comes to rest on the path is
     /// no hold.
     pub fn is_held(&self) -> bool {
-        self.phase == Phase::Open && (self.pace.hold_due || self.motion.is_held())
+        let held = self.pace.hold_due || self.pace.waits() || self.motion.is_held();
+        self.phase == Phase::Open && held
     }
 
     /// Returns how fast it executes, percent of what the commands ask for.
@@ -116,6 +154,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// A stop ends a hold that has not begun.
     pub(crate) fn forget_hold(&mut self) {
         self.pace.hold_due = false;
+        self.pace.own = None;
     }
 
     /// Makes a hold that had to wait, and counts what has changed.

@@ -23,7 +23,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match self.phase.latch() {
             Some(StopReason::Fault) => NodeState::Fault,
             Some(_) => NodeState::Stopped,
-            None if self.motion.is_paused() => NodeState::Paused,
+            None if self.motion.is_paused() || self.pace.waits() => NodeState::Paused,
             None if self.start != Start::Open => NodeState::Ready,
             None if self.motion.is_active() || self.script.is_running() => NodeState::Running,
             None => NodeState::Idle,

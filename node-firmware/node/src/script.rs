@@ -488,7 +488,7 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
     }
 
     fn resume(&mut self) {
-        self.node.resume();
+        self.node.resume(self.now);
     }
 
     fn set_speed_percent(&mut self, percent: u16) -> Result<(), CommandError> {

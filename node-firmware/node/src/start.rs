@@ -160,6 +160,9 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// Everything before a barrier has ended.
     pub(crate) fn reach_barrier(&mut self, command: u64, now: LocalMicros) {
+        if self.rest_until_resumed(command, now) {
+            return;
+        }
         self.start = Start::Waiting {
             command,
             ready_at: now,
@@ -177,6 +180,9 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// The first edge behind a barrier has left.
     pub(crate) fn tell_started(&mut self, command: u64, first_edge_at: Ticks, now: LocalMicros) {
+        if self.pace.is_own(command) {
+            return;
+        }
         if let Start::Confirmed {
             command: confirmed, ..
         } = self.start
@@ -259,7 +265,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
 
     /// Returns whether the node rests at a barrier, so that nothing moves without a confirmation.
     pub(crate) fn rests_at_barrier(&self) -> bool {
-        matches!(self.start, Start::Waiting { .. } | Start::Armed { .. })
+        self.pace.waits() || matches!(self.start, Start::Waiting { .. } | Start::Armed { .. })
     }
 
     fn say(&mut self, message: StartMessage) {

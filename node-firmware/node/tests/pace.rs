@@ -4,8 +4,8 @@ mod rig;
 
 use emulator::{EmulatorConfig, Recording, oracle};
 use keys::{
-    AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode, StopReason, pace::PaceMessage,
-    start::StartMessage, version,
+    AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode, StopReason,
+    command::BARRIER_RESUME, pace::PaceMessage, start::StartMessage, version,
 };
 use rig::{BOOT, Rig, batch_bytes, job, steps};
 
@@ -320,4 +320,44 @@ fn a_start_that_is_agreed_is_made_and_held_right_behind() {
     run_to_idle(&mut rig);
     assert_eq!(rig.position(), 8_000);
     check_pulses(&rig);
+}
+
+#[test]
+fn a_job_rests_where_it_says_so_until_somebody_resumes_it() {
+    let mut rig = Rig::new(config());
+    let rest = Command::Barrier {
+        barrier: BARRIER_RESUME,
+    };
+    let _ = rig.batch(&[steps(100), rest, steps(50)]);
+    rig.run_for(5_000_000);
+    assert_eq!(rig.state(), NodeState::Paused);
+    assert_eq!(rig.position(), 100);
+    assert_eq!(told(&rig), (1, true, 100), "it is held, for whoever looks");
+    assert!(
+        rig.lines()
+            .iter()
+            .any(|line| line.contains("until it is resumed"))
+    );
+    // The link may go meanwhile: nothing moves.
+    rig.link(false);
+    rig.run_for(5_000_000);
+    rig.link(true);
+    assert_eq!(rig.state(), NodeState::Paused);
+    assert!(rig.status().faults.is_empty(), "{:?}", rig.status().faults);
+    set_now(&mut rig, Some(false), None);
+    rig.run_for(1_000_000);
+    assert_eq!((rig.state(), rig.position()), (NodeState::Idle, 150));
+    check_pulses(&rig);
+
+    // A stop ends the rest as it ends any hold.
+    let _ = rig.batch(&[steps(10), rest, steps(10)]);
+    rig.run_for(1_000_000);
+    rig.stop(StopMode::Halt);
+    rig.run_for(1_000_000);
+    assert_eq!(rig.state(), NodeState::Stopped);
+    let queue = rig.queue();
+    let _ = rig.release(queue);
+    let _ = rig.batch(&[steps(10)]);
+    rig.run_for(1_000_000);
+    assert_eq!((rig.state(), rig.position()), (NodeState::Idle, 170));
 }

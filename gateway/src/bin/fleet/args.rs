@@ -167,6 +167,7 @@ Commands; ways in steps, accel in steps/s², jerk in steps/s³:
   {\"line\":{\"steps\":[9000,4000],\"speed_hz\":5000,\"accel\":10000}}    all axes together (2)
   {\"pause\":{\"ms\":100}}  {\"laser\":{\"power_percent\":50}}  {\"lidar_read\":{}}
   {\"set_position\":{\"axis\":0,\"position\":0}}  {\"barrier\":{\"name\":\"layer-2\"}}
+  {\"wait_resume\":{}}                     rests until `fleet resume`; not in synchronized jobs
   (1) may have \"linear_steps\" and \"jump_steps\", or \"jerk\"  (2) may have \"jerk\"
 
 Examples:
@@ -175,6 +176,7 @@ Examples:
   fleet submit part.gcode --node left --wait     # `fleet check` tells its time and bounds
   fleet submit cut.json --group table --wait
   fleet submit hole.gcode --node left --set depth=4 --set x=10    # ${depth} and ${x} in the file
+  fleet submit --template hole --set depth=4 --set x=10 --node left   # `fleet template put`
   fleet submit clean.lua --label mill --when-idle
   fleet submit warm-up.json --node left --at 2026-11-23T05:00:00Z
   echo '{\"commands\":[{\"move\":{\"axis\":0,\"delay_us\":500,\"steps\":2000}}]}' | \\

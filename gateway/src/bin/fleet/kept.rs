@@ -338,7 +338,9 @@ fn values_of(text: &str) -> Vec<&str> {
 
 fn time(every_s: u64) -> String {
     let units = [(86_400, "d"), (3_600, "h"), (60, "m")];
-    let unit = units.into_iter().find(|(unit_s, _)| every_s % unit_s == 0);
+    let unit = units
+        .into_iter()
+        .find(|(unit_s, _)| every_s.is_multiple_of(*unit_s));
     match unit {
         Some((unit_s, word)) => format!("{}{word}", every_s / unit_s),
         None => format!("{every_s}s"),

@@ -39,6 +39,8 @@ pub(super) struct Block {
     pub(super) offsets: Said<usize>,
     pub(super) beam: Said<bool>,
     pub(super) end: Said<()>,
+    /// `M0`, `M1`.
+    pub(super) rest: Said<()>,
     pub(super) harmless: Said<()>,
     pub(super) values: Vec<Word>,
     pub(super) column: usize,
@@ -123,13 +125,11 @@ fn sort_other(block: &mut Block, word: &Word) -> Result<(), Wrong> {
         30 | 40 => once(&mut block.beam, true, at),
         50 => once(&mut block.beam, false, at),
         90 => once(&mut block.harmless, (), at),
-        0 | 10 => Err(Wrong::new(
-            at,
-            "a queue cannot wait for a person: split the program here",
-        )),
+        // There is no switch for optional rests: each is one.
+        0 | 10 => once(&mut block.rest, (), at),
         60 => Err(Wrong::new(
             at,
-            "there is no tool changer: split the program here",
+            "there is no tool changer: M0 waits for a person",
         )),
         70 | 80 => Err(Wrong::new(at, "there is no coolant")),
         _ => Err(Wrong::new(at, format!("M{} is not known here", word.value))),

@@ -8,7 +8,7 @@ use keys::{
     command::LINE_AXES,
     job::{
         JOB_COMMANDS_MAX, JobCommand, LaserFields, LineFields, PauseFields, RampToFields,
-        SPEED_HZ_MAX,
+        SPEED_HZ_MAX, WaitResumeFields,
     },
 };
 
@@ -119,6 +119,11 @@ impl<'m> Emitter<'m> {
 
     pub(super) fn pause(&mut self, pause_ms: u32, column: usize) -> Result<(), Wrong> {
         self.push(JobCommand::Pause(PauseFields { ms: pause_ms }), column)
+    }
+
+    /// Rests until a client resumes; the beam is off meanwhile by itself.
+    pub(super) fn rest(&mut self, column: usize) -> Result<(), Wrong> {
+        self.push(JobCommand::WaitResume(WaitResumeFields {}), column)
     }
 
     /// Goes straight to these places, each in its axis' frame.

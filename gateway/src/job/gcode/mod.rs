@@ -6,7 +6,8 @@
 //!           `gcode`)    group      · arc.rs        limits      └─▶ preview.rs: time and bounds
 //! ```
 //!
-//! The common subset of GRBL: G0–G4, G17–G21, G28, G53–G59, G90–G94, M2–M5, M30, F and S. What is
+//! The common subset of GRBL: G0–G4, G17–G21, G28, G53–G59, G90–G94, M0–M5, M30, F and S. M0 and M1 rest
+//! until `fleet resume`. What is
 //! not understood is refused with its line and column; nothing is skipped but comments, line
 //! numbers, tool numbers (`T`) and words that only confirm what holds anyway (`G40`, `G49`, `G61`,
 //! `G80`, `M9`).
@@ -21,8 +22,8 @@
 //! Places are kept in mm; each end of a line is rounded to whole steps on its own, so that no error
 //! adds up. An arc becomes chords that are nowhere farther from it than `arc_tolerance_mm`.
 //!
-//! Absent on purpose: variables, expressions, canned cycles, probing (`G38`), tool changes, coolant,
-//! `M0`: a queue cannot wait for a person, so a program is split there.
+//! Absent on purpose: variables, expressions, canned cycles, probing (`G38`), tool changes,
+//! coolant.
 
 mod arc;
 mod block;

@@ -118,6 +118,9 @@ impl<'m> Modal<'m> {
             let message = format!("nothing in this line uses {}", word.letter);
             return Err(Wrong::new(word.column, message));
         }
+        if let Some(((), column)) = block.rest {
+            self.to.rest(column)?;
+        }
         if block.end.is_some() {
             self.to.beam(0, block.column)?;
             self.ended = true;
