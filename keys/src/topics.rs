@@ -17,6 +17,7 @@
 //! | `pace` | [`PaceMessage`](crate::pace::PaceMessage) | both | real-time | block; said again until it is seen |
 //! | `hold`, `resume` | empty | client → gateway | real-time | block |
 //! | `speed` | `{"percent":…}` | client → gateway | real-time | block |
+//! | `jog` | [`JogRequest`](crate::jog::JogRequest), JSON, answered by a [`JogReceipt`](crate::jog::JogReceipt) | client → node, by get | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
 //! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
 
@@ -59,11 +60,13 @@ pub enum NodeTopic {
     Resume,
     /// Another speed.
     Speed,
+    /// Moves of single axes by hand.
+    Jog,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -82,6 +85,7 @@ impl NodeTopic {
         Self::Hold,
         Self::Resume,
         Self::Speed,
+        Self::Jog,
     ];
 
     /// Returns the last chunk of the key.
@@ -105,6 +109,7 @@ impl NodeTopic {
             Self::Hold => "hold",
             Self::Resume => "resume",
             Self::Speed => "speed",
+            Self::Jog => "jog",
         }
     }
 

@@ -104,7 +104,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Returns whether it rests on its path, or is about to. A stop that comes to rest on the path is
     /// no hold.
     pub fn is_held(&self) -> bool {
-        self.phase == Phase::Open && (self.pace.hold_due || self.motion.is_held())
+        self.pace.hold_due || self.motion.is_held()
     }
 
     /// Returns how fast it executes, percent of what the commands ask for.
