@@ -3,9 +3,12 @@
 
 mod bench;
 
-use bench::{Bench, config, motor::steps_of};
+use bench::{
+    Bench, config,
+    motor::{Random, seeds, steps_of},
+};
 use emulator::EmulatorConfig;
-use keys::{AxisId, Command, NodeState, NodeTopic, StopMode, pace::PaceMessage};
+use keys::{AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode, pace::PaceMessage};
 use motion::{SoftLimits, io::input::Switch};
 
 const X: AxisId = AxisId(0);
@@ -366,4 +369,51 @@ fn a_lost_link_ends_a_run_by_its_lease_and_answers_nobody() {
     bench.run_for(1_000_000);
     assert_eq!((bench.position(X), state(&bench)), (at, NodeState::Idle));
     bench.judged();
+}
+
+#[test]
+fn random_jogs_and_jobs_by_turns_end_where_the_pins_have_led() {
+    for seed in seeds(60) {
+        println!("seed {seed}");
+        let mut random = Random(seed ^ 0x106);
+        let mut bench = Bench::new(config());
+        for _ in 0..3 + random.below(12) {
+            let axis = random.below(2);
+            let speed_hz = 1 + random.of_size(13);
+            let accel = 200 + random.of_size(17);
+            let how = format!(r#""axis":{axis},"speed_hz":{speed_hz},"accel":{accel}"#);
+            let request = match random.below(7) {
+                0 => format!(r#"{{"run":"forward",{how}}}"#),
+                1 => format!(r#"{{"run":"backward",{how}}}"#),
+                2 => format!(r#"{{"to":{},{how}}}"#, random.below(4_000) as i64 - 2_000),
+                3 => format!(r#"{{"by":{},{how}}}"#, random.below(4_000) as i64 - 2_000),
+                4 => format!(r#"{{"axis":{axis},"stop":true}}"#),
+                5 => format!(r#"{{"axis":{axis},"coast":true}}"#),
+                _ => {
+                    bench.order([Command::Move {
+                        axis: AxisId(axis as u8),
+                        delay_us: 20 + random.of_size(10) as u32,
+                        steps: random.of_size(8) as i32,
+                    }]);
+                    continue;
+                }
+            };
+            // A refusal is an answer, too.
+            let _ = bench.ask(&request);
+            bench.run_for(random.of_size(21));
+        }
+        let _ = bench.ask(r#"{"stop":true}"#);
+        let end = LocalMicros(bench.now.0 + 60_000_000);
+        while bench.now < end && state(&bench) != NodeState::Idle {
+            bench.run_for(100_000);
+        }
+        let status = bench.node.status();
+        assert_eq!(
+            status.state,
+            NodeState::Idle,
+            "seed {seed}: {:?}",
+            status.axes
+        );
+        bench.judged();
+    }
 }
