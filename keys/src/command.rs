@@ -163,6 +163,12 @@ impl Features {
     /// Hold, resume and speed for clients.
     pub const PACE: Self = Self(64);
 
+    /// `smooth_ramp`, `smooth_ramp_to`.
+    pub const SMOOTH: Self = Self(128);
+
+    /// Jogging by hand.
+    pub const JOG: Self = Self(256);
+
     /// `home` of this axis: a bit from 2²⁴ on for each, because it takes a switch.
     pub const fn home_of(axis: AxisId) -> Self {
         match 1_u32.checked_shl(24 + axis.0 as u32) {

@@ -26,6 +26,7 @@ pub mod credentials;
 pub mod ids;
 #[cfg(feature = "json")]
 pub mod job;
+pub mod jog;
 pub mod key;
 pub mod pace;
 #[cfg(feature = "json")]

@@ -18,6 +18,7 @@
 //! | `hold`, `resume` | empty | client → gateway | real-time | block |
 //! | `speed` | `{"percent":…}` | client → gateway | real-time | block |
 //! | `trace` | [`TraceEvent`](crate::trace::TraceEvent) | node → gateway | data-high | drop; missed by its number |
+//! | `jog` | [`JogRequest`](crate::jog::JogRequest), JSON, answered by a [`JogReceipt`](crate::jog::JogReceipt) | client → node, by get | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
 //! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
 
@@ -62,6 +63,8 @@ pub enum NodeTopic {
     Speed,
     /// What happens to a job.
     Trace,
+    /// Moves of single axes by hand.
+    Jog,
 }
 
 impl NodeTopic {
@@ -86,6 +89,7 @@ impl NodeTopic {
         Self::Resume,
         Self::Speed,
         Self::Trace,
+        Self::Jog,
     ];
 
     /// Returns the last chunk of the key.
@@ -110,6 +114,7 @@ impl NodeTopic {
             Self::Resume => "resume",
             Self::Speed => "speed",
             Self::Trace => "trace",
+            Self::Jog => "jog",
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, jogs, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
 //! | viewer | stops | the same |
 //! | node | its own status, ack, clock, start, pace, trace, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
@@ -110,6 +110,8 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     work.push(format!("{prefix}/node/*/script/*"));
     // Other firmware: what is signed counts, but who may ask is the operator's affair.
     work.push(keys.every_node(NodeTopic::Update).to_string());
+    // The node itself answers a jog.
+    work.push(keys.every_node(NodeTopic::Jog).to_string());
     rules.add(
         "work",
         &["ingress"],
@@ -203,12 +205,13 @@ impl Rules {
         heard.extend(asked.clone());
         // Other firmware is asked for, on one key.
         asked.push(keys.every_node(NodeTopic::Update).to_string());
+        asked.push(keys.every_node(NodeTopic::Jog).to_string());
         let mut said = own(&SAID);
         said.push(format!("{}/**", keys.node(name, NodeTopic::Data)));
         let mut listened = own(&HEARD);
         listened.extend(scripts.clone());
         let mut kept = scripts;
-        kept.extend(own(&[NodeTopic::Update]));
+        kept.extend(own(&[NodeTopic::Update, NodeTopic::Jog]));
         let verbs = ["says", "lives", "listens", "hears", "keeps", "asked"];
         let ids = verbs.map(|verb| format!("{name}-{verb}"));
         let [says, lives, listens, hears, keeps, asks] = &ids;

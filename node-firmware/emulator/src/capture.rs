@@ -314,6 +314,7 @@ impl Capture {
             edges: self.edges,
             inputs: Vec::new(),
             holds: Vec::new(),
+            drives: Vec::new(),
             homes: Vec::new(),
             beside: None,
             inverted: Vec::new(),

@@ -4,31 +4,32 @@
 //! what went in and what the pins did. For virtual time use it directly; `wall.rs` drives it on a
 //! real clock.
 
+mod boot;
+mod outputs;
+mod recorded;
+
+pub use outputs::Bench;
+
 use crate::{
     config::{EmulatorConfig, Recording},
-    firmware::{self, BootLoader, EmulatedKeeper},
+    firmware::{self, EmulatedKeeper},
     machine::Machine,
-    memory::{Borrower, RingMemory, take_plans},
+    memory::{Borrower, RingMemory},
     pins::{Pin, PinEvent},
     pulse::VirtualRmt,
-    record::{Held, InputEdge, Life, TakenCommand},
+    record::Life,
     store::MemoryStore,
     vcd::VcdWriter,
 };
+use boot::boot_node;
 use keys::{
-    AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
+    AxisId, LocalMicros, NodeId, NodeTopic, Status,
     command::COMMAND_WORDS,
-    signed::Proof,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
-use motion::{
-    MotionConfig, StepBackend, TICKS_PER_US, Ticks,
-    io::{enable::OutputChange, input::PinLevel},
-};
-use node::{
-    Inbound, Node, NodeConfig, Outbound, Outputs,
-    library::{BoxedStore, Library},
-};
+use motion::{StepBackend, TICKS_PER_US, Ticks, io::input::PinLevel};
+use node::{Inbound, Node, Outbound, library::BoxedStore};
+use recorded::Recorded;
 use std::{
     io::{self, Write},
     mem,
@@ -49,67 +50,6 @@ const STEPS_PER_US: u64 = 5;
 
 /// Past boots that are kept. More: the oldest is forgotten.
 pub const PAST_LIVES_MAX: usize = 64;
-
-/// The laser and lidar of an emulated node.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Bench {
-    laser_percent: u8,
-    lidar_requested: bool,
-    enables: Vec<PinEvent>,
-    /// What was shifted out and not yet read back.
-    shifted: Option<u32>,
-    /// What a script has queued since the last look.
-    queued: Vec<TakenCommand>,
-}
-
-impl Bench {
-    /// Returns the laser's power, percent.
-    pub fn laser_percent(&self) -> u8 {
-        self.laser_percent
-    }
-}
-
-impl Outputs for Bench {
-    fn set_laser(&mut self, power_percent: u8) {
-        self.laser_percent = power_percent;
-    }
-
-    fn request_lidar(&mut self) {
-        self.lidar_requested = true;
-    }
-
-    fn shift_out(&mut self, word: u32) {
-        self.shifted = Some(word);
-    }
-
-    fn set_enable(&mut self, change: OutputChange, at: Ticks) {
-        self.enables.push(PinEvent {
-            at_ticks: at.0,
-            pin: Pin::Enable(change.output as u8),
-            level: change.levels()[1],
-        });
-    }
-
-    fn note_queued(
-        &mut self,
-        queue: QueueId,
-        first_command: u64,
-        commands: &[Command],
-        now: LocalMicros,
-    ) {
-        self.queued.extend(
-            commands
-                .iter()
-                .zip(first_command..)
-                .map(|(command, number)| TakenCommand {
-                    at: now,
-                    queue,
-                    number,
-                    command: *command,
-                }),
-        );
-    }
-}
 
 /// The node inside an [`EmulatedNode`].
 pub type InnerNode = Node<'static, VirtualRmt, Bench>;
@@ -134,14 +74,7 @@ pub struct EmulatedNode {
     /// The next so many words that are read back are wrong.
     shift_errors: u32,
     lidar_readings: u64,
-    commands: Vec<TakenCommand>,
-    stops: Vec<keys::StopReport>,
-    edges: Vec<PinEvent>,
-    inputs: Vec<InputEdge>,
-    holds: Vec<Held>,
-    /// See [`Life::paced`].
-    paced: bool,
-    cut: bool,
+    recorded: Recorded,
     past: Vec<Life>,
     vcd: Option<VcdWriter<Box<dyn Write + Send>>>,
     vcd_error: Option<io::Error>,
@@ -197,13 +130,7 @@ impl EmulatedNode {
             shift_due: None,
             shift_errors: 0,
             lidar_readings: 0,
-            commands: Vec::new(),
-            stops: Vec::new(),
-            edges: Vec::new(),
-            inputs: Vec::new(),
-            holds: Vec::new(),
-            paced: false,
-            cut: false,
+            recorded: Recorded::default(),
             past: Vec::new(),
             vcd: None,
             vcd_error: None,
@@ -492,29 +419,7 @@ impl EmulatedNode {
 
     /// Returns the changes of pins that were recorded since this boot.
     pub fn edges(&self) -> &[PinEvent] {
-        &self.edges
-    }
-
-    /// Returns the record of this boot so far. Copies it.
-    pub fn life(&self) -> Life {
-        Life {
-            boot: self.node.queue().boot,
-            axis_count: self.node.motion().axis_count(),
-            commands: self.commands.clone(),
-            stops: self.stops.clone(),
-            edges: self.edges.clone(),
-            inputs: self.inputs.clone(),
-            holds: self.holds.clone(),
-            homes: self.config.home_facts(),
-            beside: self.config.beside_facts(),
-            inverted: self.config.inverted(),
-            external: self.config.external(),
-            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
-            paced: self.paced,
-            cut: self.cut,
-            counted_steps: self.counted_steps(),
-            status: self.status(),
-        }
+        &self.recorded.edges
     }
 
     /// Returns the records of the boots before, oldest first.
@@ -527,65 +432,6 @@ impl EmulatedNode {
         let last = self.take_life();
         self.past.push(last);
         mem::take(&mut self.past)
-    }
-
-    fn take_life(&mut self) -> Life {
-        Life {
-            boot: self.node.queue().boot,
-            axis_count: self.node.motion().axis_count(),
-            commands: mem::take(&mut self.commands),
-            stops: mem::take(&mut self.stops),
-            edges: mem::take(&mut self.edges),
-            inputs: mem::take(&mut self.inputs),
-            holds: mem::take(&mut self.holds),
-            homes: self.config.home_facts(),
-            beside: self.config.beside_facts(),
-            inverted: self.config.inverted(),
-            external: self.config.external(),
-            lidar_waits: self.config.motion.lidar_wait_ms.is_some(),
-            paced: mem::take(&mut self.paced),
-            cut: mem::take(&mut self.cut),
-            counted_steps: self.counted_steps(),
-            status: self.status(),
-        }
-    }
-
-    fn counted_steps(&self) -> Vec<i64> {
-        (0..self.node.motion().axis_count())
-            .map(|axis| self.step_count(AxisId(axis as u8)))
-            .collect()
-    }
-
-    /// Notes the commands that went into the ring, now that it has more than `accepted_before`.
-    fn record_taken(&mut self, payload: &[u8], accepted_before: u64, now: LocalMicros) {
-        let Recording::Edges { max } = self.config.record else {
-            return;
-        };
-        if self.cut || self.node.motion().accepted_commands() == accepted_before {
-            return;
-        }
-        // What signs it is not for the judge of pulses.
-        let Ok(mut reader) = Proof::split(payload).and_then(|(_, order)| BatchReader::new(order))
-        else {
-            return;
-        };
-        let Order::Batch(header) = *reader.order() else {
-            return;
-        };
-        if self.commands.len() + usize::from(header.command_count) > max {
-            self.cut = true;
-            return;
-        }
-        let mut number = header.first_command;
-        while let Ok(Some(command)) = reader.next_command() {
-            self.commands.push(TakenCommand {
-                at: now,
-                queue: header.queue,
-                number,
-                command,
-            });
-            number += 1;
-        }
     }
 
     /// Lets time pass up to `now`, in steps that are short where a switch could change, so that the
@@ -612,47 +458,29 @@ impl EmulatedNode {
         }
     }
 
-    /// Notes whether motion is held now.
-    fn record_hold(&mut self) {
-        let motion = self.node.motion();
-        let at = motion.now().0;
-        let open = self.holds.last_mut();
-        let open = open.filter(|held| held.until_ticks.is_none());
-        match (open, motion.is_held(), self.config.record) {
-            (Some(held), false, _) => held.until_ticks = Some(at),
-            (None, true, Recording::Edges { max }) if !self.cut => {
-                self.holds.push(Held {
-                    from_ticks: at,
-                    until_ticks: None,
-                });
-                self.cut |= self.holds.len() > max;
-            }
-            _ => {}
-        }
-    }
-
     /// Notes what the last call did, and tells the node what its inputs did.
     fn observe(&mut self, now: LocalMicros) {
         self.record_hold();
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
-        self.paced |= self.node.is_held() || self.node.speed_percent() != 100;
+        self.recorded.paced |= self.node.is_held() || self.node.speed_percent() != 100;
+        self.record_drives();
         let queued = mem::take(&mut self.node.outputs_mut().queued);
         if let Recording::Edges { max } = self.config.record
-            && !self.cut
+            && !self.recorded.cut
         {
-            self.commands.extend(queued);
-            self.cut |= self.commands.len() > max;
+            self.recorded.commands.extend(queued);
+            self.recorded.cut |= self.recorded.commands.len() > max;
         }
         if let Some(word) = self.node.outputs_mut().shifted.take() {
             self.shift_due = Some((now.plus_us(SHIFT_US), word));
         }
         loop {
-            let from = self.edges.len();
+            let from = self.recorded.edges.len();
             self.take_edges();
             let until = Ticks(now.0 * TICKS_PER_US);
-            let levels = self.machine.follow(&self.edges[from..], until);
+            let levels = self.machine.follow(&self.recorded.edges[from..], until);
             self.keep_edges(from);
             if levels.is_empty() {
                 break;
@@ -664,137 +492,11 @@ impl EmulatedNode {
         }
         if self.config.record != Recording::Off
             && let Some(stop) = self.node.last_stop()
-            && self.stops.last() != Some(stop)
+            && self.recorded.stops.last() != Some(stop)
         {
-            self.stops.push(stop.clone());
+            self.recorded.stops.push(stop.clone());
         }
     }
-
-    /// Takes the changes of pins since the last call, in order of time.
-    fn take_edges(&mut self) {
-        let from = self.edges.len();
-        self.edges
-            .extend(self.node.motion_mut().backend_mut().take_edges());
-        if self.watches_pins() {
-            self.edges.append(&mut self.node.outputs_mut().enables);
-        } else {
-            self.node.outputs_mut().enables.clear();
-        }
-        // Axes play one after the other within one call.
-        self.edges[from..].sort_by_key(|event| event.at_ticks);
-    }
-
-    /// Keeps what is recorded of them.
-    fn keep_edges(&mut self, from: usize) {
-        if let Some(vcd) = self.vcd.as_mut() {
-            for event in &self.edges[from..] {
-                if let Err(error) = vcd.write(event) {
-                    self.vcd_error.get_or_insert(error);
-                    self.vcd = None;
-                    break;
-                }
-            }
-        }
-        let edges_max = self.recorded_max();
-        if self.cut || edges_max == 0 {
-            self.edges.truncate(from);
-        } else if self.edges.len() > edges_max {
-            self.edges.truncate(edges_max);
-            self.cut = true;
-        }
-    }
-
-    fn record_input(&mut self, level: PinLevel) {
-        if self.inputs.len() < self.recorded_max() {
-            self.inputs.push(InputEdge {
-                at_ticks: level.at.0,
-                index: level.index,
-                level: level.level,
-                counted_steps: level.counted_steps,
-            });
-        }
-    }
-
-    fn watches_pins(&self) -> bool {
-        self.vcd.is_some() || self.recorded_max() > 0
-    }
-
-    fn recorded_max(&self) -> usize {
-        match self.config.record {
-            Recording::Off => 0,
-            Recording::Edges { max } => max,
-        }
-    }
-}
-
-impl node::run::Host for EmulatedNode {
-    fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
-        match inbound {
-            Inbound::Message { topic, payload } => Self::handle(self, topic, payload, now),
-            other => self.inbound(other, now),
-        }
-    }
-
-    fn poll(&mut self, now: LocalMicros) {
-        Self::poll(self, now);
-    }
-
-    fn poll_timeout(&self) -> Option<LocalMicros> {
-        Self::poll_timeout(self)
-    }
-
-    fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
-        Self::poll_outbox(self, now)
-    }
-
-    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
-        self.node.store_script(now, name, text);
-    }
-
-    fn library(&self) -> &Library {
-        self.node.library()
-    }
-
-    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
-        EmulatedNode::update(self, message, now)
-    }
-}
-
-fn boot_node(
-    memory: &RingMemory,
-    config: &EmulatorConfig,
-    input_levels: u32,
-    boot: u32,
-    boots: u64,
-) -> Borrower {
-    let seed = splitmix(config.seed.wrapping_add(boots));
-    let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
-    let watched = !config.machine.switches.is_empty();
-    backend.record_edges(config.record != Recording::Off || watched);
-    let node_config = NodeConfig {
-        keys: config.keys.clone(),
-        motion: MotionConfig {
-            input_levels,
-            ..config.motion_config()
-        },
-        link_loss: config.link_loss,
-        link_loss_after_us: config.link_loss_after_us,
-        script: config.script,
-        boot_script: config.boot_script,
-        firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
-            BootLoader::boot(flash).version(flash)
-        }),
-        signers: config.signers.clone(),
-        ..NodeConfig::new(config.name, boot)
-    };
-    let node = Node::new(
-        memory.words(),
-        take_plans(),
-        backend,
-        Bench::default(),
-        node_config,
-    );
-    Borrower::from(node)
 }
 
 /// One step of splitmix64: well-mixed bits from any number.

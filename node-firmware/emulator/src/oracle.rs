@@ -16,6 +16,7 @@
 //! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
+//! | an axis that is driven: no faster, no harder than its orders, from rest to rest; the queue rests | to a tick |
 //! | C and D: way, rate, limits, each in its turn | steps exactly, intervals to a tick |
 //! | position = counter = counted edges | exactly |
 //! | with [`Life::paced`] and ramps, lines or homing: only the pins, all steps of what has ended, and the positions | exactly |
@@ -33,10 +34,12 @@
 //! | `track` | joined or stopped paths, by their limits |
 //! | `beside` | C and D |
 //! | `homing` | the way to a reference switch and off it |
+//! | `drives` | axes that are driven outside the queue |
 //! | `count` | steps by number alone |
 
 mod beside;
 mod count;
+mod drives;
 mod holds;
 mod homing;
 mod moves;
@@ -221,6 +224,7 @@ fn is_path(command: &Command) -> bool {
 pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violation>> {
     let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
+    judge.read_drives(life);
     if life.paced && life.commands.iter().any(|taken| is_path(&taken.command)) {
         judge.count(life);
     } else {
@@ -230,7 +234,7 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
     judge.summary.steps = judge
         .axes
         .iter()
-        .map(|axis| axis.steps.len() as u64)
+        .map(|axis| axis.steps.len() as u64 + axis.driven_count)
         .collect();
     if judge.violations.is_empty() {
         return Ok(judge.summary);
@@ -264,6 +268,10 @@ struct Seen {
     origin: i64,
     /// A stop ended its path: more steps of this queue are wrong.
     rests: bool,
+    /// Steps of drives, which are not among the others.
+    driven_count: u64,
+    /// Their sum.
+    driven_steps: i64,
 }
 
 impl Seen {
@@ -299,6 +307,8 @@ struct Judge<'l> {
     external: &'l [bool],
     lidar_waits: bool,
     holds: holds::Holds,
+    /// What drives have made, in order of time, as far as the queue has not come there.
+    shifts: Vec<drives::Shift>,
     /// Nothing of what is still to be read leaves before this, ticks.
     not_before: u64,
 }
@@ -318,6 +328,7 @@ impl<'l> Judge<'l> {
             external: &life.external,
             lidar_waits: life.lidar_waits,
             holds: holds::Holds::new(&life.holds),
+            shifts: Vec::new(),
             not_before: 0,
         }
     }

@@ -79,6 +79,8 @@ struct Channel {
     external: bool,
     /// The pulse counter: active edges with sign.
     counted_steps: i64,
+    /// When the half that plays has been played, `None` if it ends the transmission.
+    half_end: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +140,16 @@ impl Channel {
             inverted: false,
             external: false,
             counted_steps: 0,
+            half_end: None,
         }
+    }
+
+    /// The half at `reading` begins at `word_at`: its words stay what they are until it is over.
+    fn begin_half(&mut self) {
+        let words = &self.words[self.reading..][..REFILL_WORDS];
+        let ends = words.iter().any(|word| word.is_end());
+        let ticks: u64 = words.iter().map(|word| word.ticks()).sum();
+        self.half_end = (!ends).then_some(self.word_at + ticks);
     }
 
     fn set_level(&mut self, at: u64, level: bool, scope: &mut Scope<'_>) {
@@ -220,6 +231,7 @@ impl Channel {
                         at: end + latency(end),
                     });
                 }
+                self.begin_half();
             }
             self.begin_word(scope);
         }
@@ -358,13 +370,7 @@ impl VirtualRmt {
         if !channel.playing {
             return None;
         }
-        let half_end = (channel.reading / REFILL_WORDS + 1) * REFILL_WORDS;
-        let words = &channel.words[channel.reading..half_end];
-        if words.iter().any(|word| word.is_end()) {
-            return None;
-        }
-        let left: u64 = words.iter().map(|word| word.ticks()).sum();
-        Some(channel.word_at + left + self.config.refill_ticks_min)
+        Some(channel.half_end? + self.config.refill_ticks_min)
     }
 }
 
@@ -400,6 +406,7 @@ impl StepBackend for VirtualRmt {
             channel.word_at = now + skew;
             channel.playing = true;
             channel.refill = None;
+            channel.begin_half();
             channel.begin_word(&mut scope);
         }
     }

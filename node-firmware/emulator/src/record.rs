@@ -4,7 +4,10 @@
 //! so what is there is a whole beginning.
 
 use crate::pins::PinEvent;
-use keys::{AxisId, Command, LocalMicros, QueueId, Status, StopReport, command::LINE_AXES};
+use keys::{
+    AxisId, Command, LocalMicros, QueueId, Status, StopReport,
+    command::{LINE_AXES, Ramp},
+};
 
 /// A command that a node took into its ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +42,19 @@ pub struct Held {
     pub from_ticks: u64,
     /// Until when; `None` if it still is.
     pub until_ticks: Option<u64>,
+}
+
+/// A time in which an axis was driven outside the queue.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Driven {
+    /// The axis.
+    pub axis: AxisId,
+    /// From when on, ticks since the node's boot.
+    pub from_ticks: u64,
+    /// When it rested; `None` if it still is driven.
+    pub until_ticks: Option<u64>,
+    /// What it was told meanwhile. To keep the present speed adds none.
+    pub orders: Vec<Ramp>,
 }
 
 /// What `home` means for one axis.
@@ -105,6 +121,8 @@ pub struct Life {
     pub inputs: Vec<InputEdge>,
     /// When motion was held, in order of time.
     pub holds: Vec<Held>,
+    /// When axes were driven, in order of time.
+    pub drives: Vec<Driven>,
     /// How the axes are homed that can be.
     pub homes: Vec<HomeFacts>,
     /// C and D, of a node that has them.

@@ -206,6 +206,30 @@ fn a_direction_that_is_held_up_between_changes_is_never_turned_in_a_step() {
 }
 
 #[test]
+fn a_drive_that_is_left_before_its_first_step_ends() {
+    let forward = Target::Forever(Direction::Positive);
+    let backward = Target::Forever(Direction::Negative);
+    for end_us in [0, 5, 700, 2_929, 9_000, 60_000] {
+        for turn_us in [None, Some(0), Some(5), Some(2_929)] {
+            let what = format!("{turn_us:?}, {end_us}");
+            let mut bench = bench();
+            if let Some(turn_us) = turn_us {
+                bench.drive(Y, forward, Course::hz(14, 679));
+                bench.run_for(5);
+                bench.drive(Y, backward, Course::hz(448, 10_703));
+                bench.run_for(turn_us);
+            }
+            bench.drive(Y, forward, Course::hz(5, 5_962));
+            bench.run_for(end_us);
+            bench.motion().end_drive_of(Y);
+            bench.run_for(8_000_000);
+            assert!(!bench.motion().is_driving(), "{what}");
+            pins_are_right(&bench, &what);
+        }
+    }
+}
+
+#[test]
 fn random_drives_of_four_axes_end_where_each_was_sent_last() {
     for seed in seeds(20) {
         let mut random = Random(seed ^ 0xa11);

@@ -183,6 +183,8 @@ pub(crate) struct Planner {
     share: u32,
     /// Axes that are driven each by itself.
     ways: [Way; CHANNELS],
+    /// When all ways have been left at rest: from when on.
+    ways_rest_at: Option<u64>,
 }
 
 /// All of a line's speed.
@@ -209,6 +211,7 @@ impl Planner {
             holding: false,
             share: WHOLE,
             ways: [Way::NONE; CHANNELS],
+            ways_rest_at: None,
         }
     }
 
@@ -221,6 +224,7 @@ impl Planner {
         }; CHANNELS];
         self.share = WHOLE;
         self.ways.iter_mut().for_each(Way::reset);
+        self.ways_rest_at = None;
     }
 
     /// An axis that rests was turned by somebody else.
@@ -271,6 +275,7 @@ impl Planner {
         self.left = None;
         self.ahead.clear();
         self.ways.iter_mut().for_each(Way::clear);
+        self.ways_rest_at = None;
     }
 
     /// Returns whether another line can begin; a change and a stop then still can, too.

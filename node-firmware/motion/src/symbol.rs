@@ -36,26 +36,31 @@ impl Symbol {
     }
 
     /// Returns duration (ticks) and level of the part that is sent first.
+    #[inline]
     pub const fn first(self) -> (u64, bool) {
         ((self.0 & 0x7fff) as u64, self.0 & 1 << 15 != 0)
     }
 
     /// Returns duration (ticks) and level of the part that is sent second.
+    #[inline]
     pub const fn second(self) -> (u64, bool) {
         ((self.0 >> 16 & 0x7fff) as u64, self.0 & 1 << 31 != 0)
     }
 
     /// Returns how long the word lasts, ticks; 0 for the end marker.
+    #[inline]
     pub const fn ticks(self) -> u64 {
         self.first().0 + self.second().0
     }
 
     /// Returns whether the transmitter stops within this word.
+    #[inline]
     pub const fn is_end(self) -> bool {
         self.first().0 == 0 || self.second().0 == 0
     }
 
     /// Returns whether the word begins with an active edge, when the level before it was low.
+    #[inline]
     pub const fn is_step(self) -> bool {
         self.first().1
     }

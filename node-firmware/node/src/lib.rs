@@ -8,6 +8,7 @@
 //!  switches ───────▶ │ inputs.rs ── limits, homing ───▶ │                       │
 //!  start ──────────▶ │ start.rs ── barrier ───────────▶ │                       │
 //!  hold, speed ────▶ │ pace.rs ── hold, resume, speed ▶ │                       │
+//!  jog ────────────▶ │ jog.rs ─── drives, leases ─────▶ │                       │
 //!  clock ──────────▶ │ clock.rs                         ├── Laser, Lidar ───────│──▶ Outputs
 //!                    │          report.rs ◀── position ─┘                       │
 //!                    │              │                                           │
@@ -32,6 +33,7 @@ pub mod trace;
 mod clock;
 mod inputs;
 mod intake;
+mod jog;
 mod pace;
 mod report;
 mod script;
@@ -44,6 +46,7 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
+    jog::Jogs,
     library::Library,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
     outbox::Outbox,
@@ -58,9 +61,10 @@ use crate::{
 use ::script::Limits;
 use core::sync::atomic::AtomicU32;
 use keys::{
-    Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
+    AxisId, Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
     StopMode, StopReason, StopReport,
     clock::{ClockMessage, ClockReply},
+    command::Ramp,
     script::REPORT_BYTES_MAX,
     status::{FAULTS_MAX, FaultCode},
     version,
@@ -179,6 +183,17 @@ pub trait Outputs {
     /// Shifts a word into the shift register; what it shows then comes back as [`Inbound::Shift`].
     fn shift_out(&mut self, word: u32);
 
+    /// An axis is driven outside the queue by this ramp from now on; `None`: at the speed that it has.
+    /// Whoever judges the pulses wants to know; a board does not.
+    fn note_drive(&mut self, axis: AxisId, ramp: Option<Ramp>, now: LocalMicros) {
+        let _ = (axis, ramp, now);
+    }
+
+    /// An axis that was driven rests; after a stop nobody says so.
+    fn note_rest(&mut self, axis: AxisId, at: Ticks) {
+        let _ = (axis, at);
+    }
+
     /// A script has put these commands into the queue, the first one as this number. Whoever
     /// judges the pulses wants to know; a board does not.
     fn note_queued(
@@ -223,6 +238,7 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     lidar_mm: Option<u32>,
     lidar_count: u32,
     pace: Pace,
+    jogs: Jogs,
     script: Slot,
     /// Barriers of the present script, or of the last one: their commands may wait longer than it.
     barriers: Barriers,
@@ -286,6 +302,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             lidar_mm: None,
             lidar_count: 0,
             pace: Pace::new(),
+            jogs: Jogs::default(),
             script: Slot::None,
             barriers: Barriers::default(),
             script_queued_at: LocalMicros(0),
@@ -360,6 +377,10 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 self.run_motion(now);
                 self.take_pace(payload, now);
             }
+            Inbound::Message {
+                topic: NodeTopic::Jog,
+                payload,
+            } => self.ask_jog(payload, now),
             Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
@@ -402,6 +423,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             self.status_timeout(),
             self.start_timeout(),
             self.script_timeout(),
+            self.jogs.timeout(),
             link_loss,
             line,
             save,
@@ -430,6 +452,9 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         if let Some(message) = self.outbox.pop_start() {
             return Some(outbound(NodeTopic::Start, &message));
+        }
+        if let Some(answer) = self.jogs.pop_answer() {
+            return Some(answer);
         }
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
@@ -560,7 +585,11 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                     self.log(now, format_args!("lidar: no reading in time"))
                 }
                 MotionEvent::Underrun => self.note_fault(FaultCode::UNDERRUN, now),
-                MotionEvent::Rest | MotionEvent::Held | MotionEvent::DriveEnded { .. } => {}
+                MotionEvent::Rest | MotionEvent::Held => {}
+                MotionEvent::DriveEnded { axis } => {
+                    self.jogs.forget_axis(axis);
+                    self.outputs.note_rest(axis, self.motion.now());
+                }
                 MotionEvent::AtBarrier { command } => self.reach_barrier(command, now),
                 MotionEvent::BarrierMissed { command } => self.miss_barrier(command, now),
                 MotionEvent::Started {
@@ -631,6 +660,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         self.watch_start(now);
         self.watch_pace(now);
+        self.watch_jogs(now);
         self.save_scripts(now);
         self.tell_credit(now);
         self.outbox.earn_line_tokens(now);
@@ -670,6 +700,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
 
     fn take_link_down(&mut self, now: LocalMicros) {
         self.outbox.link_down();
+        self.jogs.link_down();
         if self.link_gone_at.is_none() {
             self.trace.note(now, Event::LinkDown);
             self.link_gone_at = Some(now);

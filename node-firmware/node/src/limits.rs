@@ -25,6 +25,10 @@ pub const CLOCK_REPLIES_MAX: usize = 4;
 /// Messages about a start that wait for the link. The oldest goes first: what matters is said again.
 pub const STARTS_MAX: usize = 4;
 
+/// Answers to requests for jogs that wait for the link. The oldest goes first: who waits longest has
+/// given up.
+pub const JOG_ANSWERS_MAX: usize = 8;
+
 /// Time between two Ready of a node that waits at a barrier: ten a second, so that a lost one
 /// delays a start by no more than a person notices.
 pub const READY_US: u64 = 100_000;

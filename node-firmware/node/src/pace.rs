@@ -142,8 +142,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Returns whether it rests on its path, or is about to. A stop that comes to rest on the path is
     /// no hold.
     pub fn is_held(&self) -> bool {
-        let held = self.pace.hold_due || self.pace.waits() || self.motion.is_held();
-        self.phase == Phase::Open && held
+        let waits = self.phase == Phase::Open && self.pace.waits();
+        self.pace.hold_due || waits || self.motion.is_held()
     }
 
     /// Returns how fast it executes, percent of what the commands ask for.

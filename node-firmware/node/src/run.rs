@@ -15,6 +15,7 @@ use alloc::{format, string::String, vec::Vec};
 use core::fmt::Write;
 use keys::{
     Keys, LocalMicros, NodeId, NodeTopic,
+    jog::REQUEST_BYTES_MAX,
     key::KeyText,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
@@ -107,6 +108,9 @@ type ScriptKey = heapless::String<DATA_KEY_BYTES_MAX>;
 /// Most bytes of an answer about another firmware.
 const UPDATE_REPLY_BYTES_MAX: usize = 8;
 
+/// Requests for jogs that wait for the node's answer.
+const JOGS_ASKED_MAX: usize = 8;
+
 /// Longest key that a script publishes on.
 const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 
@@ -131,6 +135,11 @@ pub struct NodeLink {
     updates: QueryableId,
     update_key: KeyText,
     answers: Vec<(InboundQuery, Option<UpdateReply>)>,
+    /// Jogs: each with the number by which the node answers it, and since when it waits.
+    jogs: QueryableId,
+    jog_key: KeyText,
+    asked: Vec<(u32, InboundQuery)>,
+    last_asked: u32,
 }
 
 impl NodeLink {
@@ -172,6 +181,8 @@ impl NodeLink {
         let shelf = session.declare_queryable(&every, true)?;
         let update_key = keys.node(name, NodeTopic::Update);
         let updates = session.declare_queryable(&update_key, true)?;
+        let jog_key = keys.node(name, NodeTopic::Jog);
+        let jogs = session.declare_queryable(&jog_key, true)?;
         // Last: who sees the token may count on the subscriptions.
         let token = session.declare_token(&keys.node(name, NodeTopic::Alive))?;
         Ok(Self {
@@ -187,6 +198,10 @@ impl NodeLink {
             updates,
             update_key,
             answers: Vec::new(),
+            jogs,
+            jog_key,
+            asked: Vec::new(),
+            last_asked: 0,
         })
     }
 
@@ -209,6 +224,7 @@ impl NodeLink {
                     self.held = None;
                     self.gets.clear();
                     self.answers.clear();
+                    self.asked.clear();
                     host.handle(now, Inbound::LinkDown);
                 }
                 Event::Message { subscriber, sample } if subscriber == self.store => {
@@ -245,6 +261,21 @@ impl NodeLink {
                     });
                     self.answers.push((query, reply));
                 }
+                Event::Query {
+                    query,
+                    queryable,
+                    key,
+                    payload,
+                    ..
+                } if queryable == self.jogs => {
+                    // A tool that looks at everything moves nothing, and one button one machine.
+                    if key == self.jog_key.as_str() {
+                        self.ask_jog(host, session, query, payload.as_deref(), now);
+                    } else {
+                        // Cannot be helped: the session ends it in time.
+                        let _ = session.reply_final(&query);
+                    }
+                }
                 Event::Message { subscriber, sample } => {
                     let Some(topic) = self.topic_of(subscriber) else {
                         continue;
@@ -265,7 +296,11 @@ impl NodeLink {
         while let Some(outbound) = self.held.take().or_else(|| host.poll_outbox(now)) {
             // Closed: the next status says everything. Any other error cannot be helped by another
             // attempt.
-            if self.put(session, &outbound) == Err(PutError::Full) {
+            let put = match outbound.topic {
+                NodeTopic::Jog => self.answer_jog(session, &outbound),
+                _ => self.put(session, &outbound),
+            };
+            if put == Err(PutError::Full) {
                 self.held = Some(outbound);
                 break;
             }
@@ -320,6 +355,53 @@ impl NodeLink {
         }
     }
 
+    /// Hands a request for a jog to the node, which may be on the other core.
+    fn ask_jog<H: Host>(
+        &mut self,
+        host: &mut H,
+        session: &mut Session,
+        query: InboundQuery,
+        payload: Option<&[u8]>,
+        now: LocalMicros,
+    ) {
+        if self.asked.len() == JOGS_ASKED_MAX {
+            // Its answer was lost: whoever asked knows that by now.
+            let (_, lost) = self.asked.remove(0);
+            let _ = session.reply_final(&lost);
+        }
+        self.last_asked = self.last_asked.wrapping_add(1);
+        self.asked.push((self.last_asked, query));
+        let mut numbered = Vec::from(self.last_asked.to_le_bytes());
+        let payload = payload.unwrap_or_default();
+        numbered.extend(payload.iter().take(REQUEST_BYTES_MAX + 1));
+        let payload = &numbered;
+        let topic = NodeTopic::Jog;
+        host.handle(now, Inbound::Message { topic, payload });
+    }
+
+    /// Passes the node's answer to a request for a jog on.
+    fn answer_jog(&mut self, session: &mut Session, outbound: &Outbound) -> Result<(), PutError> {
+        let refused = outbound.suffix.starts_with(crate::jog::REFUSED);
+        let number = outbound.suffix.trim_start_matches(crate::jog::REFUSED);
+        let is_it = |(asked, _): &(u32, InboundQuery)| number.parse() == Ok(*asked);
+        let Some(index) = self.asked.iter().position(is_it) else {
+            return Ok(());
+        };
+        let options = options_of(NodeTopic::Jog);
+        let query = &self.asked[index].1;
+        let replied = if refused {
+            session.reply_error(query, &outbound.payload, &options.encoding)
+        } else {
+            session.reply(query, &self.jog_key, &outbound.payload, &options)
+        };
+        if replied == Err(ReplyError::Full) || session.reply_final(query) == Err(ReplyError::Full) {
+            // Twice the same answer does no harm.
+            return Err(PutError::Full);
+        }
+        self.asked.remove(index);
+        Ok(())
+    }
+
     fn topic_of(&self, subscriber: SubscriberId) -> Option<NodeTopic> {
         let heard = self.heard.iter().find(|(id, _)| *id == subscriber);
         heard.map(|(_, topic)| *topic)
@@ -364,6 +446,7 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         NodeTopic::Start | NodeTopic::Pace => {
             (Priority::RealTime, Congestion::Block, true, OCTET_STREAM)
         }
+        NodeTopic::Jog => (Priority::RealTime, Congestion::Block, true, JSON),
         NodeTopic::Ack => (Priority::DataHigh, Congestion::Block, true, OCTET_STREAM),
         NodeTopic::Report => (Priority::DataHigh, Congestion::Block, false, OCTET_STREAM),
         NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),

@@ -66,6 +66,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     pub(crate) fn begin_stop(&mut self, reason: StopReason, mode: StopMode, now: LocalMicros) {
         self.set_laser(0);
         self.forget_hold();
+        self.jogs.forget();
         self.start = Start::Open;
         self.status_due = true;
         match self.phase {

@@ -44,10 +44,14 @@ pub enum Event {
     ScriptEnded,
     /// A script failed.
     ScriptFailed,
+    /// A request for a jog was taken.
+    JogTaken,
+    /// A request for a jog had no effect.
+    JogRefused,
 }
 
 /// Kinds of [`Event`].
-pub const EVENT_KINDS: usize = 16;
+pub const EVENT_KINDS: usize = 18;
 
 impl Event {
     /// Returns the number of the event's kind, below [`EVENT_KINDS`].
@@ -69,6 +73,8 @@ impl Event {
             Self::ScriptBegun => 13,
             Self::ScriptEnded => 14,
             Self::ScriptFailed => 15,
+            Self::JogTaken => 16,
+            Self::JogRefused => 17,
         }
     }
 }

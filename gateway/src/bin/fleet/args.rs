@@ -3,6 +3,7 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use keys::{
     GroupId, JobId, NodeId,
+    jog::{JogWay, LEASE_MS_DEFAULT, LEASE_MS_MAX, LEASE_MS_MIN},
     pace::{SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
     record::JobState,
 };
@@ -276,6 +277,21 @@ Examples:
     /// Let nodes go on after `fleet hold`.
     #[command(after_help = "Examples:\n  fleet resume left\n  fleet resume '*'")]
     Resume(Pace),
+
+    /// Move single axes of a node by hand, while no job runs.
+    #[command(after_help = "\
+A run goes on while this command runs: it renews the node's lease, and Ctrl-C, a broken connection or
+a closed terminal bring the axis to rest. A move to a place goes on by itself: `fleet jog NODE --stop`
+or `fleet stop NODE` ends it. Soft limits and switches hold as ever. --by is relative to where the axis
+is going; --by 0 changes its speed only.
+
+Examples:
+  fleet jog left --axis 0 --run +                  # until Ctrl-C
+  fleet jog left --axis 0 --run - --speed 200
+  fleet jog left --axis 1 --to 2500 --speed 1000 --accel 5000
+  fleet jog left --axis 1 --step +
+  fleet jog left --stop                            # all axes, each by its ramp")]
+    Jog(Jog),
 
     /// Change the speed of ramps and lines, also of those under way.
     #[command(after_help = "\
@@ -820,6 +836,68 @@ pub(crate) struct Speed {
     #[arg(default_value_t = 100, value_parser = clap::value_parser!(u16)
         .range(i64::from(SPEED_PERCENT_MIN)..=i64::from(SPEED_PERCENT_MAX)))]
     pub(crate) percent: u16,
+}
+
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("what").required(true))]
+pub(crate) struct Jog {
+    /// Node.
+    #[arg(value_name = "NODE")]
+    pub(crate) node: NodeId,
+
+    /// Axis number, from 0.
+    #[arg(long, required_unless_present = "stop")]
+    pub(crate) axis: Option<u8>,
+
+    /// To this position, steps.
+    #[arg(
+        long,
+        value_name = "POSITION",
+        group = "what",
+        allow_hyphen_values = true
+    )]
+    pub(crate) to: Option<i64>,
+
+    /// So many steps from where it is going.
+    #[arg(long, value_name = "STEPS", group = "what", allow_hyphen_values = true)]
+    pub(crate) by: Option<i64>,
+
+    /// One step.
+    #[arg(long, value_name = "+|-", group = "what", value_parser = way, allow_hyphen_values = true)]
+    pub(crate) step: Option<JogWay>,
+
+    /// On and on, until this command ends.
+    #[arg(long, value_name = "+|-", group = "what", value_parser = way, allow_hyphen_values = true)]
+    pub(crate) run: Option<JogWay>,
+
+    /// Comes to rest by its ramp; without --axis all of them.
+    #[arg(long, group = "what")]
+    pub(crate) stop: bool,
+
+    /// Speed, Hz.
+    #[arg(long, default_value_t = 500, value_name = "HZ")]
+    pub(crate) speed: u32,
+
+    /// Acceleration, steps/s².
+    #[arg(long, default_value_t = 2_000, value_name = "STEPS/S2")]
+    pub(crate) accel: u32,
+
+    /// Jerk, steps/s³: makes it an S-curve.
+    #[arg(long, value_name = "STEPS/S3")]
+    pub(crate) jerk: Option<u32>,
+
+    /// How long a run goes on when this command is gone, ms.
+    #[arg(long, default_value_t = LEASE_MS_DEFAULT, value_name = "MS",
+        value_parser = clap::value_parser!(u32).range(i64::from(LEASE_MS_MIN)..=i64::from(LEASE_MS_MAX)))]
+    pub(crate) lease: u32,
+}
+
+fn way(text: &str) -> Result<JogWay, String> {
+    match text {
+        "+" | "forward" => Ok(JogWay::Forward),
+        "-" | "backward" => Ok(JogWay::Backward),
+        _ => Err("+ or -".into()),
+    }
 }
 
 fn prefix(text: &str) -> Result<keys::Keys, String> {

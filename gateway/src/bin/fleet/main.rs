@@ -12,6 +12,7 @@ mod check;
 mod demo;
 mod follow;
 mod help;
+mod jog;
 mod kept;
 mod link;
 mod manage;
@@ -124,6 +125,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
             let percent = Some(speed.percent);
             pace::pace(&link, &speed.pattern, "speed", percent, json).await
         }
+        Verb::Jog(line) => jog::jog(&link, line, json).await,
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
         Verb::Backup(line) => backup::backup(Some(&link), line, json).await,
         Verb::Update(line) => update::update(&link, line, json).await,

@@ -11,6 +11,7 @@ impl Judge<'_> {
     pub(super) fn count(&mut self, life: &Life) {
         for axis in 0..self.axes.len() {
             let counted: i64 = self.axes[axis].steps.iter().map(|step| step.sign).sum();
+            let counted = counted + self.axes[axis].driven_steps;
             if counted != life.counted_steps[axis] {
                 let counter = life.counted_steps[axis];
                 self.wrong(
@@ -23,7 +24,8 @@ impl Judge<'_> {
         let mut commands = life.commands.iter().map(|taken| &taken.command);
         let status = &life.status;
         let ended = status.executed_commands == life.commands.len() as u64;
-        if life.cut || !life.stops.is_empty() || !ended || commands.any(homes) {
+        let driven = !life.drives.is_empty();
+        if driven || life.cut || !life.stops.is_empty() || !ended || commands.any(homes) {
             return;
         }
         let commands = life.commands.iter().map(|taken| &taken.command);

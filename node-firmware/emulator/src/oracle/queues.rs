@@ -107,6 +107,7 @@ impl Judge<'_> {
             }
             let seen = &self.axes[axis];
             let count: i64 = seen.steps.iter().map(|step| step.sign).sum();
+            let count = count + seen.driven_steps;
             let (counted, position) = (
                 life.counted_steps.get(axis).copied(),
                 life.status.axes.get(axis).map(|axis| axis.position_steps),
@@ -159,6 +160,9 @@ impl Judge<'_> {
         let mut planned: Vec<i64> = self.axes.iter().map(super::Seen::position).collect();
         let mut index = 0;
         while let Some(taken) = commands.get(index) {
+            if self.pass_drives(taken.at.0 * TICKS_PER_US, &mut planned) {
+                anchor = None;
+            }
             let (pieces, count) = self.pieces(&commands[index..], &mut planned);
             self.summary.commands += (index..index + count.max(1))
                 .filter(|number| (*number as u64) < scope.executed)
@@ -193,6 +197,9 @@ impl Judge<'_> {
                     return;
                 }
             }
+        }
+        if let Some(stop) = stop {
+            self.pass_drives(stop.at.0 * TICKS_PER_US, &mut planned);
         }
         if let Some(stop) = stop.filter(|_| !life.cut) {
             self.check_stop(stop, until);

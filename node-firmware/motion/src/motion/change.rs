@@ -112,7 +112,7 @@ impl<B: StepBackend> Motion<'_, B> {
             self.change_drives();
             return true;
         }
-        self.change_path().is_some() || (self.is_held() && self.stand_still())
+        self.change_path().is_some() || (self.rests_on_path() && self.stand_still())
     }
 
     /// Makes a change that could not be made at once.
@@ -158,7 +158,7 @@ impl<B: StepBackend> Motion<'_, B> {
         };
         let more = self.extended_commands != self.accepted_commands;
         let line_follows = matches!(self.ring.peek(), Some(Command::Line { .. }));
-        if !more || !line_follows || self.is_held() || !self.planner.ends_early(timeline.0) {
+        if !more || !line_follows || self.rests_on_path() || !self.planner.ends_early(timeline.0) {
             return;
         }
         // Only if the last line is the one under way: another one has not begun yet, and is seen
@@ -172,8 +172,14 @@ impl<B: StepBackend> Motion<'_, B> {
         }
     }
 
-    /// Returns whether motion is held or about to be.
+    /// Returns whether motion is held or about to be. A stop that comes to rest on the path is no
+    /// hold.
     pub fn is_held(&self) -> bool {
+        self.rests_on_path() && !self.is_stopping()
+    }
+
+    /// Returns whether what is planned comes to rest on the path: for a hold or for a stop.
+    pub(super) fn rests_on_path(&self) -> bool {
         matches!(self.hold, Hold::Slowing | Hold::At(_))
     }
 

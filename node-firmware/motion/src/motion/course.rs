@@ -3,6 +3,7 @@
 use super::CommandError;
 use crate::{
     Direction,
+    io::input::Switch,
     law::{Law, speed_from_hz, speed_from_interval, speed_from_mhz},
     limits::TICKS_PER_US,
     real::Real,
@@ -95,6 +96,15 @@ impl Course {
         Self { shape, ..self }
     }
 
+    /// The same at the speed that an axis has, of which it makes this share (2⁻¹⁶).
+    pub(super) fn at(self, speed_mhz: u32, share: u32) -> Self {
+        let speed = speed_from_mhz(u64::from(speed_mhz));
+        Self {
+            speed: speed * Real::of(1 << 16) / Real::of(u64::from(share)),
+            ..self
+        }
+    }
+
     pub(super) fn law(&self) -> Law {
         match self.smooth {
             Some(smooth) => Law::smooth(smooth.start, self.speed, smooth.steps),
@@ -131,6 +141,10 @@ pub enum DriveError {
     Busy,
     /// The axis or the ramp is none.
     Command(CommandError),
+    /// It would go further into a limit that is pressed.
+    Limit(Switch),
+    /// The axis does not move, so it has no speed to keep.
+    Still,
 }
 
 impl core::fmt::Display for DriveError {
@@ -138,6 +152,8 @@ impl core::fmt::Display for DriveError {
         match self {
             Self::Busy => write!(f, "something else moves"),
             Self::Command(error) => error.fmt(f),
+            Self::Limit(switch) => write!(f, "it is at its {switch} already"),
+            Self::Still => write!(f, "the axis does not move"),
         }
     }
 }

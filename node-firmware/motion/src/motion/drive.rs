@@ -59,7 +59,8 @@ impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
     /// and target, without a stop where physics allows. Several axes can be driven at a time, each
     /// by itself. [`MotionEvent::DriveEnded`] tells that it rests. The queue waits meanwhile. Soft
-    /// limits hold it inside: it comes to rest on them.
+    /// limits hold it inside: it comes to rest on them. One that runs into a limit switch is told of
+    /// ([`MotionEvent::Limit`]); one that rests on it may only leave it.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
@@ -71,8 +72,46 @@ impl<B: StepBackend> Motion<'_, B> {
             return Err(DriveError::Command(CommandError::Axis(axis)));
         }
         let to_steps = self.target_of(axis, target);
-        let to_steps = self.held_inside(usize::from(axis.0), to_steps);
+        let index = usize::from(axis.0);
+        let to_steps = self.held_inside(index, to_steps);
+        // One that moves already is watched where it goes.
+        let way = Direction::of(to_steps.saturating_sub(self.planned_steps[index]));
+        let rests = to_steps == self.planned_steps[index];
+        if let Some(switch) = self.pressed(index, way)
+            && !rests
+            && !self.is_driven(axis)
+        {
+            return Err(DriveError::Limit(switch));
+        }
         self.drive_to(axis, to_steps, how)
+    }
+
+    /// Lets an axis that is driven go on and on at the speed that it has now, to a mHz; an
+    /// acceleration under way ends as its ramp ends them.
+    ///
+    /// # Errors
+    /// [`DriveError`]; nothing has happened.
+    pub fn coast(&mut self, axis: AxisId) -> Result<(), DriveError> {
+        let index = usize::from(axis.0);
+        if index >= self.axis_count {
+            return Err(DriveError::Command(CommandError::Axis(axis)));
+        }
+        let leg = self.drives[index].and_then(|drive| drive.leg);
+        let speed_mhz = self.encoded_mhz[index];
+        let leg = leg.filter(|_| speed_mhz != 0).ok_or(DriveError::Still)?;
+        let way = Direction::of(i64::from(speed_mhz));
+        self.drive(
+            axis,
+            Target::Forever(way),
+            leg.how.at(speed_mhz.unsigned_abs(), self.share),
+        )
+    }
+
+    /// Returns whether an axis is driven on and on.
+    pub fn is_endless(&self, axis: AxisId) -> bool {
+        let drive = self.drives.get(usize::from(axis.0)).copied().flatten();
+        let leg = drive.and_then(|drive| drive.leg);
+        leg.is_some_and(|leg| matches!(leg.to_steps, i64::MIN | i64::MAX))
     }
 
     /// Where a target is, steps since boot.
@@ -243,7 +282,7 @@ impl<B: StepBackend> Motion<'_, B> {
             return;
         }
         self.planner.set_share(self.share);
-        let leg = drive.leg.filter(|_| !self.is_held());
+        let leg = drive.leg.filter(|_| !self.rests_on_path());
         let axes = &mut self.backend.axes()[..self.axis_count];
         let left = self.planner.leave_way(index, &mut axes[index], started_at);
         self.set_due(index, false, None);

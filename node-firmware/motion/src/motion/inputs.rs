@@ -105,7 +105,7 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     /// Returns the limit that is pressed at this end of an axis.
-    fn pressed(&self, axis: usize, way: Direction) -> Option<Switch> {
+    pub(super) fn pressed(&self, axis: usize, way: Direction) -> Option<Switch> {
         let limit = match way {
             Direction::Positive => Switch::Max,
             Direction::Negative => Switch::Min,

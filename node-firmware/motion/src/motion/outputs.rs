@@ -59,7 +59,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// A command sets the laser's power. While motion is held, it takes effect when it goes on.
     pub(super) fn set_laser(&mut self, power_percent: u8) -> Option<MotionEvent> {
         self.laser.percent = power_percent;
-        if self.is_held() {
+        if self.rests_on_path() {
             self.laser.withheld = true;
             return None;
         }

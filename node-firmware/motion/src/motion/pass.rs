@@ -61,7 +61,7 @@ impl<B: StepBackend> Motion<'_, B> {
                 let begins = begins && self.phase == Phase::Rest && !self.waits_enable;
                 let begin = begins.then_some(self.now);
                 let drives = self.drives_timeout();
-                let change = self.change_due && (self.is_held() || self.planner.has_path());
+                let change = self.change_due && (self.rests_on_path() || self.planner.has_path());
                 let change = change.then_some(self.now.plus(CHANGE_AGAIN_TICKS));
                 marks
                     .chain(end)

@@ -73,14 +73,14 @@ impl<B: StepBackend> Motion<'_, B> {
             let Some(command) = self.ring.peek() else {
                 break;
             };
+            // What is held may have steps left, and they go the way that the pins point now.
+            let held = self.rests_on_path() && !self.planner.is_at_speed();
             if self.marks.is_full()
                 || self.waits_for_rest(&command)
                 || self.refuse_blocked(&command)
+                || held
                 || !self.are_turned(&command)
             {
-                break;
-            }
-            if self.is_held() && !self.planner.is_at_speed() {
                 break;
             }
             let line = self.line_of(&command);

@@ -225,7 +225,13 @@ impl Planner {
         let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
         self.rewind_way(index, axis, started_at);
         let room = &mut self.stretches[room_of(index)];
-        self.ways[index].leave(room, index, cut, self.tails[index].direction)
+        let left = self.ways[index].leave(room, index, cut, self.tails[index].direction);
+        if let Left::Resting { at, .. } = left
+            && self.ways.iter().all(|way| way.count == 0)
+        {
+            self.ways_rest_at = self.ways_rest_at.max(Some(at));
+        }
+        left
     }
 
     fn rewind_way(&mut self, index: usize, axis: &mut Axis, started_at: u64) {
@@ -259,6 +265,7 @@ impl Planner {
             tail.at = begin;
             way.clear();
         }
+        self.ways_rest_at = None;
     }
 
     /// Begins a way from rest at `begin` or as soon as the axis may turn.
@@ -320,6 +327,7 @@ impl Planner {
 
     fn push_way(&mut self, index: usize, stretch: Stretch) {
         self.ways[index].push(&mut self.stretches[room_of(index)], stretch);
+        self.ways_rest_at = None;
     }
 
     /// Which way an axis goes at the end of what is planned.
@@ -395,10 +403,11 @@ impl Planner {
         line
     }
 
-    /// Returns when the last of the ways ends.
+    /// Returns when the last of the ways ends; one that was left before its first step, too.
     pub(crate) fn ways_end(&self) -> Option<u64> {
         let ends = (0..CHANNELS).filter_map(|index| self.way(index).last());
-        ends.map(|stretch| stretch.end_ticks).max()
+        let end = ends.map(|stretch| stretch.end_ticks).max();
+        end.or(self.ways_rest_at)
     }
 
     /// Returns when the way of an axis ends.

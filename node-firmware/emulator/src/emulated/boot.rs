@@ -1,0 +1,85 @@
+//! A boot, and the emulated node as what a link serves.
+
+use super::{Bench, EmulatedNode, splitmix};
+use crate::{
+    config::{EmulatorConfig, Recording},
+    firmware::{self, BootLoader},
+    memory::{Borrower, RingMemory, take_plans},
+    pulse::VirtualRmt,
+};
+use keys::{
+    LocalMicros,
+    update::{UpdateMessage, UpdateReply},
+};
+use motion::MotionConfig;
+use node::{Inbound, Node, NodeConfig, Outbound, library::Library};
+
+impl node::run::Host for EmulatedNode {
+    fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
+        match inbound {
+            Inbound::Message { topic, payload } => Self::handle(self, topic, payload, now),
+            other => self.inbound(other, now),
+        }
+    }
+
+    fn poll(&mut self, now: LocalMicros) {
+        Self::poll(self, now);
+    }
+
+    fn poll_timeout(&self) -> Option<LocalMicros> {
+        Self::poll_timeout(self)
+    }
+
+    fn poll_outbox(&mut self, now: LocalMicros) -> Option<Outbound> {
+        Self::poll_outbox(self, now)
+    }
+
+    fn store_script(&mut self, now: LocalMicros, name: &str, text: Option<&[u8]>) {
+        self.node.store_script(now, name, text);
+    }
+
+    fn library(&self) -> &Library {
+        self.node.library()
+    }
+
+    fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
+        Self::update(self, message, now)
+    }
+}
+
+pub(super) fn boot_node(
+    memory: &RingMemory,
+    config: &EmulatorConfig,
+    input_levels: u32,
+    boot: u32,
+    boots: u64,
+) -> Borrower {
+    let seed = splitmix(config.seed.wrapping_add(boots));
+    let mut backend = VirtualRmt::new(config.rmt.clone(), seed);
+    let watched = !config.machine.switches.is_empty();
+    backend.record_edges(config.record != Recording::Off || watched);
+    let node_config = NodeConfig {
+        keys: config.keys.clone(),
+        motion: MotionConfig {
+            input_levels,
+            ..config.motion_config()
+        },
+        link_loss: config.link_loss,
+        link_loss_after_us: config.link_loss_after_us,
+        script: config.script,
+        boot_script: config.boot_script,
+        firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
+            BootLoader::boot(flash).version(flash)
+        }),
+        signers: config.signers.clone(),
+        ..NodeConfig::new(config.name, boot)
+    };
+    let node = Node::new(
+        memory.words(),
+        take_plans(),
+        backend,
+        Bench::default(),
+        node_config,
+    );
+    Borrower::from(node)
+}
