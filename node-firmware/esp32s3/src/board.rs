@@ -1,7 +1,8 @@
 //! The pin table: ESP32-S3-DevKitC-1 with the N8R8 module.
 //!
-//! GPIO 26 to 37 belong to flash and octal PSRAM, 19 and 20 to USB, 0, 3, 45 and 46 to the boot
-//! mode. 38 or 48, by the kit's revision, is also its coloured lamp, which then flickers with D. The
+//! GPIO 26 to 37 belong to flash and octal PSRAM, 19 and 20 to USB, 43 and 44 to the kit's serial
+//! bridge, 0, 45 and 46 to the boot mode; 3 too, but only with a fuse that nobody burns by accident.
+//! 38 or 48, by the kit's revision, is also its coloured lamp, which then flickers with D. The
 //! wiring diagram is in `node-firmware/README.md`.
 
 use esp_hal::gpio::AnyPin;
@@ -100,8 +101,9 @@ pub(crate) const ENABLES: [EnableConfig; 3] = [
     },
 ];
 
-/// Receive and transmit of the lidar's line: a TF-Luna whose pin 5 is open.
-pub(crate) const LIDAR_PINS: [u8; 2] = [43, 44];
+/// Where the lidar's line comes in: a TF-Luna whose pin 5 is open talks unasked. 43 and 44 are the
+/// kit's own serial bridge, which would drive against it.
+pub(crate) const LIDAR_PIN: u8 = 3;
 
 /// What the chip's RMT has.
 #[cfg(not(feature = "esp32c6"))]

@@ -1,7 +1,7 @@
 //! The lidar's serial line, on core 0.
 
 use crate::{
-    board::{LIDAR_PINS, pin},
+    board::{LIDAR_PIN, pin},
     plan::WAKE,
 };
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -23,11 +23,9 @@ pub(crate) static READING_MM: AtomicU32 = AtomicU32::new(0);
 /// waits no longer than it was told to, and says so.
 #[embassy_executor::task]
 pub(crate) async fn read(uart: UART1<'static>) {
-    let [receive, transmit] = LIDAR_PINS;
     let config = Config::default().with_baudrate(BAUD);
     let uart = Uart::new(uart, config).expect("a rate that every clock of the chip can make");
-    let uart = uart.with_rx(pin(receive)).with_tx(pin(transmit));
-    let mut line = uart.into_async();
+    let mut line = uart.with_rx(pin(LIDAR_PIN)).into_async();
     let mut lidar = TfLuna::new();
     loop {
         ASKED.wait().await;
