@@ -25,7 +25,7 @@ pub(crate) struct PushMessage {
     pub(crate) scope: ExprId,
     /// Whose number the scope is.
     pub(crate) mapping: Mapping,
-    suffix: ZSlice,
+    suffix: Option<ZSlice>,
     pub(crate) qos: ext::QoSType,
     pub(crate) body: PushBody,
 }
@@ -36,12 +36,15 @@ impl PushMessage {
         let codec = Zenoh080::new();
         let header: u8 = codec.read(&mut *rest)?;
         let scope: ExprId = Zenoh080Bounded::<ExprId>::new().read(&mut *rest)?;
-        let suffix: ZSlice = if imsg::has_flag(header, flag::N) {
-            Zenoh080Bounded::<ExprLen>::new().read(&mut *rest)?
+        let suffix: Option<ZSlice> = if imsg::has_flag(header, flag::N) {
+            Some(Zenoh080Bounded::<ExprLen>::new().read(&mut *rest)?)
         } else {
-            ZSlice::empty()
+            None
         };
-        if core::str::from_utf8(&suffix).is_err() {
+        if suffix
+            .as_deref()
+            .is_some_and(|s| core::str::from_utf8(s).is_err())
+        {
             return Err(DidntRead);
         }
         let mapping = if imsg::has_flag(header, flag::M) {
@@ -90,7 +93,8 @@ impl PushMessage {
 
     /// The part of the key behind the scope.
     pub(crate) fn suffix(&self) -> &str {
-        core::str::from_utf8(&self.suffix).expect("it was read as text")
+        let bytes = self.suffix.as_deref().unwrap_or_default();
+        core::str::from_utf8(bytes).expect("it was read as text")
     }
 }
 
