@@ -158,6 +158,8 @@ impl Features {
 
     /// Hold, resume and speed for clients.
     pub const PACE: Self = Self(64);
+    /// Messages behind the epoch of their gateway, see [`crate::epoch`].
+    pub const EPOCH: Self = Self(128);
 
     /// `home` of this axis: a bit from 2²⁴ on for each, because it takes a switch.
     pub const fn home_of(axis: AxisId) -> Self {

@@ -18,6 +18,7 @@ use crate::{
 use keys::{
     AxisId, BatchReader, Command, LocalMicros, NodeId, NodeTopic, Order, QueueId, Status,
     command::COMMAND_WORDS,
+    epoch,
     signed::Proof,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
@@ -564,8 +565,10 @@ impl EmulatedNode {
         if self.cut || self.node.motion().accepted_commands() == accepted_before {
             return;
         }
-        // What signs it is not for the judge of pulses.
-        let Ok(mut reader) = Proof::split(payload).and_then(|(_, order)| BatchReader::new(order))
+        // Who says it and who signs it is not for the judge of pulses.
+        let Ok(mut reader) = epoch::split(payload)
+            .and_then(|(_, order)| Proof::split(order))
+            .and_then(|(_, order)| BatchReader::new(order))
         else {
             return;
         };

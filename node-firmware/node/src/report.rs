@@ -54,7 +54,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 .motion
                 .features()
                 .with(Features::LUA)
-                .with(Features::PACE),
+                .with(Features::PACE)
+                .with(Features::EPOCH),
             firmware: self.config.firmware,
             rssi_dbm: self.rssi_dbm,
             laser_percent: self.laser_percent,
