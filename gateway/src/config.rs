@@ -37,6 +37,9 @@ pub struct GatewayConfig {
     /// Routers of a zenoh network to join as a client, `tcp/HOST:PORT`. Empty by default: the
     /// gateway brings its own router.
     pub connect: Vec<String>,
+    /// Whether another gateway has the same store and network, and one of the two serves, see
+    /// [`crate::fleet::owner`]. Needs `connect`. Off by default.
+    pub standby: bool,
     /// The file of jobs and nodes; made if it is not there.
     pub store: PathBuf,
     /// Keys of the fleet; prefix `fleet` by default.
@@ -70,6 +73,7 @@ impl GatewayConfig {
         Self {
             listen: Vec::new(),
             connect: Vec::new(),
+            standby: false,
             store: store.into(),
             keys: Keys::default(),
             users: None,

@@ -33,7 +33,9 @@ pub mod copy;
 use crate::fleet::{
     Stored,
     event::{Table, Write},
+    owner::next_epoch,
 };
+use keys::FleetMicros;
 use redb::{
     Database, DatabaseError, Durability, ReadableDatabase, ReadableTable, TableDefinition,
     TableError, TableHandle as _,
@@ -55,8 +57,16 @@ const KEPT: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("kept");
 
 const FORMAT_KEY: &str = "format";
 
+/// Epoch of the last gateway that had the store.
+const EPOCH_KEY: &str = "epoch";
+
 /// Stores smaller than this are not compacted, bytes: there is nothing to be gained.
 pub const COMPACT_BYTES_MIN: u64 = 8 << 20;
+
+/// Memory for pages of the store, bytes. What is written is in memory besides, and nothing is read
+/// between two starts but for a backup: more is worth nothing. The database's own default is 1 GiB,
+/// so that a gateway would grow with its history for weeks.
+pub const CACHE_BYTES: usize = 8 << 20;
 
 /// What a file of the embedded database begins with.
 const MAGIC: &[u8; 4] = b"redb";
@@ -127,7 +137,10 @@ impl Journal {
     /// existing file that is no store is left as it is.
     pub fn open(path: impl AsRef<Path>) -> Result<(Self, Stored), JournalError> {
         let path = path.as_ref();
-        let mut database = Database::create(path).map_err(|error| open_error(path, error))?;
+        let mut database = Database::builder()
+            .set_cache_size(CACHE_BYTES)
+            .create(path)
+            .map_err(|error| open_error(path, error))?;
         // Opening believes the pages; this reads them all.
         match database.check_integrity() {
             Ok(true) => {}
@@ -191,6 +204,29 @@ impl Journal {
             return Ok(());
         }
         self.write(writes).map_err(|error| self.failed(error))
+    }
+
+    /// Writes a newer epoch into the store and returns it, see [`crate::fleet::owner`].
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub fn claim(&mut self, now: FleetMicros) -> Result<u32, JournalError> {
+        self.raise_epoch(now).map_err(|error| self.failed(error))
+    }
+
+    fn raise_epoch(&self, now: FleetMicros) -> Result<u32, redb::Error> {
+        let mut transaction = self.database.begin_write()?;
+        transaction.set_durability(Durability::Immediate)?;
+        let epoch = {
+            let mut meta = transaction.open_table(META)?;
+            let stored = meta.get(EPOCH_KEY)?.map_or(0, |epoch| epoch.value());
+            let stored = u32::try_from(stored).unwrap_or(u32::MAX);
+            let epoch = next_epoch(stored, now);
+            meta.insert(EPOCH_KEY, u64::from(epoch))?;
+            epoch
+        };
+        transaction.commit()?;
+        Ok(epoch)
     }
 
     /// Returns what copies the store while it is in use.
@@ -418,6 +454,23 @@ mod tests {
         journal
             .commit(&[put(Table::Jobs, "a", b"1")])
             .expect("commits");
+    }
+
+    #[test]
+    fn whoever_takes_the_store_has_a_newer_epoch_than_all_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("fleet.redb");
+        let claim = |now_s: u64| {
+            let (mut journal, _) = Journal::open(&path).expect("opens");
+            journal
+                .claim(FleetMicros(now_s * 1_000_000))
+                .expect("writes")
+        };
+        // The second clock is wrong.
+        assert_eq!(
+            [claim(1_000), claim(7), claim(2_000)],
+            [1_000, 1_001, 2_000]
+        );
     }
 
     #[test]

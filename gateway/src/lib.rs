@@ -11,6 +11,19 @@
 //! Start with [`fleet::event`]: everything that can happen and everything that can be wanted is in
 //! that one file. [`fleet::Fleet`] decides, [`job`] says what a job is and which changes of its
 //! state are legal, [`journal`] keeps what must survive.
+//!
+//! | module | what it owns |
+//! |---|---|
+//! | [`fleet`] | the decisions: jobs, nodes, routes, clocks, starts, who owns a fleet ([`fleet::owner`]) |
+//! | [`job`] | a job, its legal changes, its texts: JSON, Lua, postcard, G-code |
+//! | [`journal`] | the store: one file, one transaction for a group of events, copies, the doctor |
+//! | [`bus`] | the zenoh sessions: what is heard and answered, bounds of the queues and of each client |
+//! | [`reading`] | jobs between bus and fleet: read and checked on other threads, in order |
+//! | [`service`] | the running gateway: tasks, the order of commit and publication, shutdown |
+//! | [`standby`] | a gateway that waits beside another one |
+//! | [`security`] | a secured fleet: certificates, users, rules, signatures; the threat model |
+//! | [`config`], [`settings`] | every number of a gateway; `fleet.toml` |
+//! | [`observe`], [`http`], [`spans`] | metrics and their names; where they are served; one span of the log for each job |
 
 pub mod bus;
 pub mod config;
@@ -24,3 +37,4 @@ pub mod security;
 pub mod service;
 pub mod settings;
 pub mod spans;
+pub mod standby;

@@ -18,13 +18,16 @@
 
 use crate::{
     bus::{
-        Arrived, Inbox, Outlets, WallClock, store_failed,
+        Arrived, Inbox, Outlets, WallClock,
+        owners::Owners,
+        store_failed,
         zenoh::{Bus, BusError},
     },
     config::GatewayConfig,
     fleet::{
         Fleet, FleetConfig, RestoreError,
         event::{Effect, Event, Lane, ReplyTo},
+        owner::Resignation,
     },
     http::{self, HttpError},
     job::gcode::Machines,
@@ -33,6 +36,7 @@ use crate::{
     reading::{READERS_MAX, forward_jobs, read_jobs},
     security::Home,
     spans::JobSpans,
+    standby::{self, Taken},
 };
 use keys::{FleetMicros, Keys, record::JobState};
 use metrics::{counter, gauge, histogram};
@@ -81,6 +85,9 @@ pub enum ServiceError {
     /// A part of the service panicked.
     #[error("the service's {0} ended by a panic")]
     Panicked(&'static str),
+    /// Another gateway serves the fleet now, or shall.
+    #[error("{0}; nothing was lost, all of it is in the store")]
+    Resigned(Resignation),
     /// The system gives no thread.
     #[error("no thread for the writer: {0}")]
     Thread(std::io::Error),
@@ -93,6 +100,8 @@ pub struct Service {
     stop_jobs: watch::Sender<bool>,
     stop_fleet: watch::Sender<bool>,
     failed: watch::Receiver<bool>,
+    resigned: watch::Receiver<Option<Resignation>>,
+    place: JoinHandle<()>,
     observer: Observer,
     machines: watch::Sender<Arc<Machines>>,
     reader: JoinHandle<()>,
@@ -135,8 +144,9 @@ impl Remaining {
     }
 }
 
-/// Runs a gateway until `shutdown` resolves or the store fails. `ready` is called once; machines that
-/// come by `reloads` are for the jobs that come after them.
+/// Runs a gateway until `shutdown` resolves, the store fails or another gateway takes over. `taken` is
+/// its store if it stood by. `ready` is called once; machines that come by `reloads` are for the jobs
+/// that come after them.
 ///
 /// # Errors
 /// See [`ServiceError`].
@@ -145,6 +155,7 @@ impl Remaining {
 /// None: cancel by `shutdown`.
 pub async fn run(
     config: GatewayConfig,
+    taken: Option<Taken>,
     ready: impl FnOnce(Ready<'_>),
     shutdown: impl Future<Output = ()>,
     mut reloads: mpsc::Receiver<Machines>,
@@ -158,7 +169,7 @@ pub async fn run(
         Some(_) => Some(http::install()?),
         None => None,
     };
-    let service = Service::start(config).await?;
+    let service = Service::start_with(config, taken).await?;
     let address = listener
         .as_ref()
         .and_then(|socket| socket.local_addr().ok());
@@ -177,15 +188,17 @@ pub async fn run(
         }
         std::future::pending::<()>().await;
     };
-    tokio::select! {
-        () = shutdown => {}
-        () = service.failed() => {}
-        () = reload => {}
-    }
+    let resigned = tokio::select! {
+        () = shutdown => None,
+        () = service.failed() => None,
+        why = service.resigned() => Some(why),
+        () = reload => None,
+    };
     if let Some(serve) = serve {
         serve.abort();
     }
-    service.shutdown().await
+    let remaining = service.shutdown().await?;
+    resigned.map_or(Ok(remaining), |why| Err(ServiceError::Resigned(why)))
 }
 
 impl Service {
@@ -194,18 +207,35 @@ impl Service {
     /// # Errors
     /// See [`ServiceError`].
     pub async fn start(config: GatewayConfig) -> Result<Self, ServiceError> {
+        Self::start_with(config, None).await
+    }
+
+    /// The same with a store that is open already.
+    ///
+    /// # Errors
+    /// See [`ServiceError`].
+    pub async fn start_with(
+        config: GatewayConfig,
+        taken: Option<Taken>,
+    ) -> Result<Self, ServiceError> {
         // Before anything is written: an address that cannot be meant.
         for locator in config.listen().iter().chain(&config.connect) {
             crate::bus::zenoh::host_and_port(locator)?;
         }
         let clock = WallClock::start();
-        let store = config.store.clone();
-        let (journal, stored) = tokio::task::spawn_blocking(move || Journal::open(&store))
-            .await
-            .map_err(|_| ServiceError::Panicked("journal"))??;
+        let taken = match taken {
+            Some(taken) => taken,
+            None => Taken::open(&config, clock).await?,
+        };
+        let Taken {
+            journal,
+            stored,
+            epoch,
+        } = taken;
         let mut effects = Vec::new();
         let fleet_config = FleetConfig {
             keys: config.keys.clone(),
+            epoch,
             signers: signers(&config)?,
             ..config.fleet.clone()
         };
@@ -256,8 +286,23 @@ impl Service {
         let reader = tokio::spawn(read_jobs(jobs, reading, known_machines, jobs_stopping));
         let forwarder = tokio::spawn(forward_jobs(read, events_sender, Arc::clone(&bus)));
 
+        let (resigned_sender, resigned) = watch::channel(None);
+        let (owners, known_owners) = watch::channel(Owners::new());
+        let keep = standby::keep(epoch, config.standby, known_owners, clock);
+        let joined = !config.connect.is_empty();
+        let place = tokio::spawn(async move {
+            if !joined {
+                return;
+            }
+            let why = keep.await;
+            tracing::error!("{why}: it stops serving");
+            resigned_sender.send_replace(Some(why));
+        });
+
         let service = Self {
             bus,
+            resigned,
+            place,
             stop_jobs,
             stop_fleet,
             observer: Observer {
@@ -273,6 +318,7 @@ impl Service {
         };
         let declared = async {
             service.bus.declare(&inbox, clock).await?;
+            service.bus.declare_owner(epoch, owners).await?;
             service.bus.declare_backup(copier).await
         };
         if let Err(error) = declared.await {
@@ -284,6 +330,7 @@ impl Service {
             listen = %service.locators().join(", "),
             store = %config.store.display(),
             prefix = config.keys.prefix(),
+            epoch,
             "the gateway is ready"
         );
         Ok(service)
@@ -315,11 +362,26 @@ impl Service {
         let _ = failed.wait_for(|failed| *failed).await;
     }
 
+    /// Resolves when another gateway serves the fleet, or shall: this one must end.
+    ///
+    /// # Cancellation safety
+    /// May be dropped and called again.
+    pub async fn resigned(&self) -> Resignation {
+        let mut resigned = self.resigned.clone();
+        let why = resigned.wait_for(Option::is_some).await.map(|why| *why);
+        match why {
+            Ok(Some(why)) => why,
+            // Nobody watches any more: the service is ending.
+            _ => std::future::pending().await,
+        }
+    }
+
     /// Takes nothing more, carries out what was taken, and closes the network. Returns what is left.
     ///
     /// # Errors
     /// What made the store fail.
     pub async fn shutdown(self) -> Result<Remaining, ServiceError> {
+        self.place.abort();
         self.bus.undeclare();
         self.stop_jobs.send_replace(true);
         let reader = self.reader.await;

@@ -41,6 +41,8 @@ pub struct Network {
     /// Routers of a zenoh network to join instead.
     #[serde(deserialize_with = "locators")]
     pub connect: Option<Vec<String>>,
+    /// Whether to stand by beside another gateway with the same store.
+    pub standby: Option<bool>,
     /// Prefix of all keys.
     #[serde(deserialize_with = "prefix")]
     pub prefix: Option<Keys>,
@@ -166,6 +168,7 @@ impl Settings {
         let mut config = GatewayConfig::new(file);
         config.listen = network.listen.unwrap_or_default();
         config.connect = network.connect.unwrap_or_default();
+        config.standby = network.standby.unwrap_or(false);
         config.keys = network.prefix.unwrap_or_default();
         config.secure = network.secure;
         config.http = network.http;
@@ -256,7 +259,7 @@ mod tests {
         let of_client = [client.requests_per_s, client.mib_per_s, client.gets_open];
         assert!(of_client.iter().all(Option::is_some), "{of_client:?}");
         assert!(network.listen.is_some() && network.prefix.is_some() && network.scouting.is_some());
-        for name in ["connect", "secure", "http"] {
+        for name in ["connect", "standby", "secure", "http"] {
             assert!(DEFAULTS.contains(&format!("# {name} = ")), "{name}");
         }
         assert!(store.file.is_some() && store.keep_jobs.is_some() && store.keep_days.is_some());

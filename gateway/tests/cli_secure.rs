@@ -116,13 +116,22 @@ async fn an_operator_makes_a_key_signs_a_job_takes_a_backup_and_has_it_looked_at
     assert!(code == 0 && text.contains("succeeded"), "{text}");
     let (code, text) = desk.fleet(&["submit", "job.json", "--node", "left"]).await;
     assert!(code == 1 && text.contains("not_allowed"), "{text}");
+    let together = r#"{"max_skew_us":1e6,"nodes":{"left":{"commands":[
+        {"move":{"axis":0,"delay_us":500,"steps":20}}]}}}"#;
+    fs::write(desk.path("together.json"), together).expect("written");
+    let group = ["submit", "together.json", "--group", "table"];
+    let (code, text) = desk.fleet(&group).await;
+    assert!(code == 1 && text.contains("not_allowed"), "{text}");
+    let signed = [&group[..], &sign[2..]].concat();
+    let (code, text) = desk.fleet(&signed).await;
+    assert!(code == 0 && text.contains("succeeded"), "{text}");
 
     let (code, text) = desk.fleet(&["backup", "monday.redb"]).await;
     assert!(code == 0 && text.contains("read back"), "{text}");
     let (code, text) = desk.fleet(&["backup", "monday.redb"]).await;
     assert!(code == 2 && text.contains("exists"), "{text}");
     let (code, text) = desk.fleet(&["doctor", "monday.redb"]).await;
-    assert!(code == 0 && text.contains("2 that have ended"), "{text}");
+    assert!(code == 0 && text.contains("3 that have ended"), "{text}");
     let (code, text) = desk.fleet(&["doctor", "fleet.redb"]).await;
     assert!(code == 1 && text.contains("in use"), "{text}");
 

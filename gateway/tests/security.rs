@@ -26,6 +26,7 @@ use keys::{
     Refusal, Status, Verdict,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     credentials::Credentials,
+    epoch,
     job::JobRequest,
     record::{ErrorReply, JobRecord, NodeRecord},
     signed::{PROOF_BYTES_MAX, Proof},
@@ -585,7 +586,8 @@ async fn what_an_operator_signed_is_executed_once_even_if_the_router_belongs_to_
     // The order once more, at the place that is next now.
     let order = in_time(orders.recv_async()).await.expect("an order");
     let order = order.payload().to_bytes().into_owned();
-    let (proof, plain) = Proof::split(&order).expect("an order");
+    let (epoch, order) = epoch::split(&order).expect("an order");
+    let (proof, plain) = Proof::split(order).expect("an order");
     let mut proof = proof.expect("it is signed");
     let mut reader = BatchReader::new(plain).expect("a batch");
     let Order::Batch(mut header) = *reader.order() else {
@@ -604,7 +606,10 @@ async fn what_an_operator_signed_is_executed_once_even_if_the_router_belongs_to_
     let used = proof.write(&mut replay).expect("room");
     replay.truncate(used);
     replay.extend_from_slice(plain);
-    for attempt in [replay, plain.to_vec()] {
+    // She can say whatever epoch she has heard.
+    let mark = epoch::mark(epoch);
+    for attempt in [replay.as_slice(), plain] {
+        let attempt = [mark.as_slice(), attempt].concat();
         put(&mallory, "fleet/node/left/batch", attempt).await;
         loop {
             let ack = in_time(acks.recv_async()).await.expect("an answer");

@@ -4,14 +4,14 @@
 mod rig;
 
 use gateway::{
-    fleet::{FleetConfig, commands_of},
+    fleet::{FleetConfig, commands_of, parts_of},
     security::signing::{Signer, root_of, statement},
 };
 use keys::{
-    BatchReader, Command, NodeId, NodeTopic, Order,
-    job::JobRequest,
+    BatchReader, Command, Features, NodeId, NodeTopic, Order,
+    job::{GroupRequest, JobRequest, Work},
     record::JobState,
-    signed::{Proof, link_command, root_of_commands},
+    signed::{Proof, link_command, root_before, root_of_commands},
 };
 use rig::{MS, Rig, S, id, moves};
 use serde_json::{Value, json};
@@ -118,7 +118,6 @@ fn a_gateway_with_signers_refuses_what_a_node_would_refuse_and_says_why() {
     longer["commands"] = moves("a", 4, 1_000)["commands"].clone();
     let mut cut = good.clone();
     cut["signature"]["signature"] = json!("00");
-    let group = json!({"id": "g", "nodes": {"left": {"commands": job["commands"]}}});
     for (job, code, words) in [
         (&job, "not_allowed", "has to sign"),
         (&foreign, "not_allowed", "nobody"),
@@ -130,11 +129,6 @@ fn a_gateway_with_signers_refuses_what_a_node_would_refuse_and_says_why() {
         assert_eq!(found, code, "{message}");
         assert!(message.contains(words), "{message}");
     }
-    let (code, message) = rig.refuse_group(&group);
-    assert!(
-        code == "not_allowed" && message.contains("synchronized"),
-        "{message}"
-    );
     rig.reboot("left");
     rig.run(2 * S);
     let (code, message) = rig.refuse("left", &good);
@@ -147,4 +141,130 @@ fn a_gateway_with_signers_refuses_what_a_node_would_refuse_and_says_why() {
     assert_eq!(rig.finish(&name, 5 * S), JobState::Succeeded);
     rig.run(10 * MS);
     assert_eq!(rig.node("left").taken.len(), 3);
+}
+
+/// Signs each part of a synchronized job, as the operator's client does.
+fn sign_parts(rig: &mut Rig, signer: &Signer, mut job: Value, number: u64) -> Value {
+    let request = GroupRequest::from_json(job.to_string().as_bytes()).expect("legal");
+    let name = request.id.expect("it has one");
+    for (node, commands) in parts_of(&request) {
+        let script = match &request.nodes[&node] {
+            Work::Lua(text) => Some(text.as_str()),
+            Work::Commands(_) => None,
+        };
+        let boot = rig.node(node.as_str()).queue.boot;
+        let root = root_of(&commands, script).expect("short");
+        let signature = signer.sign(&statement(&node, &name, boot, number, root));
+        job["nodes"][node.as_str()]["signature"] = serde_json::to_value(signature).expect("JSON");
+    }
+    job
+}
+
+/// A second node beside the one with the short ring, and both can start together.
+fn pair() -> Plant {
+    let mut plant = plant();
+    plant.rig.add("right");
+    for name in ["left", "right"] {
+        plant.rig.node(name).features = Features::BASIC.with(Features::BARRIERS);
+    }
+    plant.rig.run(10 * S);
+    plant
+}
+
+fn together(name: &str) -> Value {
+    let commands = |count: usize| {
+        let mut commands = moves("x", count, 100)["commands"].clone();
+        let meeting = json!({"barrier": {"name": "half"}});
+        commands.as_array_mut().expect("a list").insert(1, meeting);
+        commands
+    };
+    json!({"id": name, "nodes": {"left": {"commands": commands(300)}, "right": {"commands": commands(3)}}})
+}
+
+#[test]
+fn each_part_of_a_signed_synchronized_job_proves_itself_also_after_a_restart_of_the_gateway() {
+    let Plant { mut rig, alice, .. } = pair();
+    let job = sign_parts(&mut rig, &alice, together("both"), 1);
+    let request = GroupRequest::from_json(job.to_string().as_bytes()).expect("legal");
+    let parts = parts_of(&request);
+    let name = rig.accept_group(&job);
+    rig.run(2 * S);
+    rig.restart_gateway();
+    assert_eq!(rig.finish(&name, 60 * S), JobState::Succeeded);
+    let mut counts = std::collections::BTreeMap::new();
+    for (_, node, topic, _, payload) in &rig.sent {
+        let (proof, order) = Proof::split(payload).expect("an order");
+        if *topic != NodeTopic::Batch {
+            continue;
+        }
+        let mut reader = BatchReader::new(order).expect("an order");
+        let Order::Batch(header) = *reader.order() else {
+            continue;
+        };
+        let proof = proof.expect("each order has one");
+        assert!(proof.includes(&header));
+        let mut inside = Vec::new();
+        while let Some(command) = reader.next_command().expect("a command") {
+            inside.push(command);
+        }
+        let from = (header.first_command - proof.first_command) as usize;
+        let chain = root_before(&inside, proof.after);
+        assert_eq!(
+            chain,
+            root_of_commands(&parts[node][from..]),
+            "{node} from {from}"
+        );
+        *counts.entry(*node).or_insert(0) += inside.len();
+    }
+    // The barrier of the start and the one in the middle are of it.
+    assert_eq!(parts[&NodeId::new("right").expect("legal")].len(), 5);
+    assert_eq!(counts.len(), 2, "{counts:?}");
+}
+
+#[test]
+fn a_synchronized_job_of_which_one_part_is_not_signed_as_it_is_moves_nobody() {
+    let Plant {
+        mut rig,
+        alice,
+        mallory,
+    } = pair();
+    let good = sign_parts(&mut rig, &alice, together("g"), 1);
+    let mut half = good.clone();
+    half["nodes"]["right"]
+        .as_object_mut()
+        .expect("a part")
+        .remove("signature");
+    let mut swapped = good.clone();
+    swapped["nodes"]["right"]["signature"] = good["nodes"]["left"]["signature"].clone();
+    let mut renamed = good.clone();
+    renamed["id"] = json!("h");
+    let mut shorter = good.clone();
+    shorter["nodes"]["right"]["commands"]
+        .as_array_mut()
+        .expect("a list")
+        .remove(0);
+    let mut nameless = good.clone();
+    nameless.as_object_mut().expect("a job").remove("id");
+    let foreign = sign_parts(&mut rig, &mallory, together("g"), 1);
+    for (job, words) in [
+        (&together("g"), "has to sign"),
+        (&half, "nodes.right: an operator has to sign"),
+        // It names the other node's boot.
+        (
+            &swapped,
+            "nodes.right: signature: it is for an earlier start",
+        ),
+        (&renamed, "not the signature of this job"),
+        (&shorter, "nodes.right: signature: it is not the signature"),
+        (&nameless, "`id` is missing"),
+        (&foreign, "nobody"),
+    ] {
+        let (code, message) = rig.refuse_group(job);
+        assert_eq!(code, "not_allowed", "{message}");
+        assert!(message.contains(words), "{message}");
+    }
+    rig.run(2 * S);
+    assert!(rig.node("left").taken.is_empty() && rig.node("right").taken.is_empty());
+    let name = rig.accept_group(&good);
+    assert_eq!(rig.finish(&name, 60 * S), JobState::Succeeded);
 }

@@ -278,4 +278,9 @@ pub enum Refusal {
     ScriptRuns,
     /// The node executes only what an operator has signed, and this is not, or it was before.
     NotSigned,
+    /// The node obeys another gateway, which has a newer epoch.
+    Superseded {
+        /// The epoch that it obeys.
+        epoch: u32,
+    },
 }

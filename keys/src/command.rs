@@ -159,15 +159,14 @@ impl Features {
     pub const LUA: Self = Self(16);
     /// `movc`, `movd`, `statcd`.
     pub const CD: Self = Self(32);
-
     /// Hold, resume and speed for clients.
     pub const PACE: Self = Self(64);
-
     /// `smooth_ramp`, `smooth_ramp_to`.
     pub const SMOOTH: Self = Self(128);
-
     /// Jogging by hand.
     pub const JOG: Self = Self(256);
+    /// Messages behind the epoch of their gateway, see [`crate::epoch`].
+    pub const EPOCH: Self = Self(512);
 
     /// `home` of this axis: a bit from 2²⁴ on for each, because it takes a switch.
     pub const fn home_of(axis: AxisId) -> Self {
@@ -189,6 +188,28 @@ impl Features {
         Self(self.0 | others.0)
     }
 }
+
+// No two of them share a bit.
+const _: () = {
+    let all = [
+        Features::BASIC,
+        Features::RAMPS,
+        Features::HOMING,
+        Features::BARRIERS,
+        Features::LUA,
+        Features::CD,
+        Features::PACE,
+        Features::SMOOTH,
+        Features::JOG,
+        Features::EPOCH,
+    ];
+    let (mut seen, mut index) = (0_u32, 0);
+    while index < all.len() {
+        assert!(seen & all[index].0 == 0 && all[index].0 < 1 << 24);
+        seen |= all[index].0;
+        index += 1;
+    }
+};
 
 /// The words hold no command: an unknown tag, or a value that no command has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

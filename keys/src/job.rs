@@ -75,6 +75,9 @@ pub struct GroupRequest {
     pub offline: Option<Offline>,
     /// Longest time from the last part's first command sent to the last pulse, s.
     pub timeout_s: Option<f64>,
+    /// The operator's signature of each part, for nodes that ask for one. In JSON only.
+    #[serde(skip)]
+    pub signatures: BTreeMap<NodeId, JobSignature>,
 }
 
 /// What a job does.

@@ -23,6 +23,7 @@ pub mod clock;
 pub mod command;
 #[cfg(feature = "json")]
 pub mod credentials;
+pub mod epoch;
 pub mod ids;
 #[cfg(feature = "json")]
 pub mod job;

@@ -16,6 +16,11 @@
 //! check both commands before it takes the first, without knowing the rest of the job. The root of a
 //! script is `SHA-256(2, text)`; it runs only when all of it is there.
 //!
+//! A part of a synchronized job is signed like a job: for its node, under the name of the whole, over
+//! the barrier of the start in front of its commands and the numbers of the other meeting points.
+//! The script of a part stands behind that barrier as if it were the last command, and its root in
+//! place of END.
+//!
 //! A number is used once by each key in one life of a node; after a reboot no signature from before
 //! is good any more. So no clock is needed on the node, and a wrong one on the client's side cannot
 //! make an old job new.
@@ -53,9 +58,9 @@ pub struct Statement<'s> {
     pub job: &'s JobId,
     /// Used once; the client's UTC in microseconds, or one more than the number before.
     pub number: u64,
-    /// How many commands; 0: a script.
+    /// How many commands, a script behind some counted as one; 0: a script alone.
     pub command_count: u64,
-    /// Root of the chain, or hash of the script.
+    /// Root of the chain, or of the script.
     pub root: Hash,
 }
 
@@ -183,10 +188,15 @@ pub fn root_of_script(text: &[u8]) -> Hash {
 
 /// Returns the root of a list of commands.
 pub fn root_of_commands(commands: &[Command]) -> Hash {
+    root_before(commands, END)
+}
+
+/// Returns the root of commands behind which something else stands.
+pub fn root_before(commands: &[Command], end: Hash) -> Hash {
     commands
         .iter()
         .rev()
-        .fold(END, |after, command| link_command(command, &after))
+        .fold(end, |after, command| link_command(command, &after))
 }
 
 #[cfg(test)]

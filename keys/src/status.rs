@@ -51,7 +51,8 @@ pub enum NodeState {
     Fault,
 }
 
-/// What is wrong. Numbers are fixed: 1xx link, 2xx motion, 3xx memory; never reused.
+/// What is wrong. Numbers are fixed: 1xx link, 2xx motion, 3xx memory, 4xx what a gateway sees of a
+/// node; never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault {
     /// The number.
@@ -87,6 +88,10 @@ impl FaultCode {
     pub const START_LATE: Self = Self(209);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
+    /// Another controller speaks under the same name.
+    pub const TWIN: Self = Self(401);
+    /// The node obeys another gateway.
+    pub const OTHER_GATEWAY: Self = Self(402);
 
     /// Returns the words that clients see.
     pub const fn as_str(self) -> &'static str {
@@ -102,6 +107,10 @@ impl FaultCode {
             Self::NOT_THERE => "C or D did not arrive",
             Self::SHIFT_REGISTER => "shift register does not follow",
             Self::PANIC => "firmware panic",
+            Self::TWIN => {
+                "another controller speaks under this name; it gets no jobs until only one does"
+            }
+            Self::OTHER_GATEWAY => "obeys another gateway that is newer, by this one's clock",
             _ => "unknown fault",
         }
     }

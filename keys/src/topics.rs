@@ -69,7 +69,7 @@ pub enum NodeTopic {
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::Job,
         Self::State,
         Self::Stop,

@@ -9,7 +9,7 @@
 use crate::{
     Faults, Random, World,
     verdict::Book,
-    world::{EPOCH_US, MS, S},
+    world::{EPOCH_US, MS, OldOwner, S},
 };
 use keys::{StopMode, record::JobState};
 use std::{fmt, ops};
@@ -176,12 +176,48 @@ pub fn run(seed: u64) -> Outcome {
     run_told(seed, |_, _, _| ())
 }
 
+/// Runs one scenario in which, besides, other gateways take the fleet over while those before
+/// go on, are cut off and come back, or sleep and wake. Returns how often.
+///
+/// # Panics
+/// See [`run`].
+pub fn run_handed_over(seed: u64) -> (Outcome, u64) {
+    let mut random = Random(seed.rotate_left(32) ^ 0x5bd1_e995);
+    let mut count = 0;
+    let outcome = run_with(
+        seed,
+        |_, _, _| (),
+        |world| {
+            if random.below(4) > 0 {
+                return;
+            }
+            let us = random.between(1, 8_000) * MS;
+            let old = match random.below(3) {
+                0 => OldOwner::Present,
+                1 => OldOwner::CutOff(us),
+                _ => OldOwner::Asleep(us),
+            };
+            world.hand_over(old, false);
+            count += 1;
+        },
+    );
+    (outcome, count)
+}
+
 /// Runs one scenario and tells what happens in it: when, µs since its beginning, what, and to which
 /// node if it concerns one.
 ///
 /// # Panics
 /// See [`run`].
-pub fn run_told(seed: u64, mut tell: impl FnMut(u64, Happening, &str)) -> Outcome {
+pub fn run_told(seed: u64, tell: impl FnMut(u64, Happening, &str)) -> Outcome {
+    run_with(seed, tell, |_| ())
+}
+
+fn run_with(
+    seed: u64,
+    mut tell: impl FnMut(u64, Happening, &str),
+    mut besides: impl FnMut(&mut World),
+) -> Outcome {
     let mut world = World::with_nodes(seed, &NODES);
     let mut random = Random(!seed);
     world.faults = Faults::drawn(&mut random);
@@ -255,6 +291,7 @@ pub fn run_told(seed: u64, mut tell: impl FnMut(u64, Happening, &str)) -> Outcom
             }
             Happening::Cancel | Happening::Calm => {}
         }
+        besides(&mut world);
         world.run_for(random.below(400 * MS));
     }
     // The faults end, the latches are lifted, and everything comes to its end.

@@ -72,8 +72,12 @@ impl GatewayProcess {
         let mut effects = Vec::new();
         self.starts += 1;
         self.disk_fails = false;
+        let config = FleetConfig {
+            epoch: self.starts as u32,
+            ..self.config.clone()
+        };
         let fleet = Fleet::restore(
-            self.config.clone(),
+            config,
             self.starts,
             stored,
             self.clock(now_us),
@@ -82,6 +86,30 @@ impl GatewayProcess {
         .expect("a gateway can read its own disk");
         self.fleet = Some(fleet);
         self.wait_for_disk(effects, now_us, random);
+    }
+
+    /// Takes the store away from it, which it does not know, and returns the gateway that has it
+    /// now, not yet started. Of what waited for the disk some has come so far and will be told; at
+    /// the next write the old one ends. With `copied` it writes on into a copy of the store, as
+    /// nothing should let it.
+    pub fn hand_over(&mut self, copied: bool, random: &mut Random) -> Self {
+        let written = random.below(self.waiting.len() as u64 + 1) as usize;
+        for index in 0..written {
+            let effects = std::mem::take(&mut self.waiting[index].effects);
+            for effect in effects {
+                match effect {
+                    Effect::Persist(write) => self.write(write),
+                    other => self.waiting[index].effects.push(other),
+                }
+            }
+        }
+        self.disk_fails = !copied;
+        Self {
+            disk: self.disk.clone(),
+            starts: self.starts,
+            clock_ahead_us: self.clock_ahead_us,
+            ..Self::new(self.config.clone())
+        }
     }
 
     /// Sets the wall clock that the next start reads, µs beyond the world's time: a computer

@@ -69,6 +69,28 @@ pub struct Answers {
     pub ended: bool,
 }
 
+/// What a gateway does whose fleet another one has taken over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OldOwner {
+    /// It goes on as if nothing had happened.
+    Present,
+    /// It hears no node and is heard by none, for this long, µs.
+    CutOff(u64),
+    /// Its machine sleeps for this long, µs, and knows nothing of it.
+    Asleep(u64),
+}
+
+/// A gateway that was replaced. It has no say with clients: what it told them was durable, and they
+/// follow the versions of records.
+#[derive(Debug)]
+struct Replaced {
+    gateway: GatewayProcess,
+    /// Until then it is cut off.
+    cut_until_us: u64,
+    /// Until then it sleeps.
+    sleeps_until_us: u64,
+}
+
 /// A fleet in a bottle.
 #[derive(Debug)]
 pub struct World {
@@ -80,6 +102,7 @@ pub struct World {
     now_us: u64,
     keys: Keys,
     gateway: GatewayProcess,
+    replaced: Vec<Replaced>,
     network: Network,
     machines: BTreeMap<NodeId, Machine>,
     returns_at_us: Option<u64>,
@@ -102,6 +125,7 @@ impl World {
             now_us: EPOCH_US,
             gateway: GatewayProcess::new(FleetConfig::new(keys.clone())),
             keys,
+            replaced: Vec::new(),
             network: Network::new(seed),
             machines: BTreeMap::new(),
             returns_at_us: None,
@@ -387,6 +411,37 @@ impl World {
         self.lose_gateway(for_us);
     }
 
+    /// Lets another gateway take the store and the fleet, while the present one does not know that it
+    /// has lost them. `copied`: its store lets it write on, into a copy. Nothing if there is none.
+    pub fn hand_over(&mut self, old: OldOwner, copied: bool) {
+        if !self.gateway.is_up() {
+            return;
+        }
+        let next = self.gateway.hand_over(copied, &mut self.random);
+        let gateway = std::mem::replace(&mut self.gateway, next);
+        let until_us = |us: u64| self.now_us + us;
+        self.replaced.push(Replaced {
+            gateway,
+            cut_until_us: match old {
+                OldOwner::CutOff(us) => until_us(us),
+                _ => 0,
+            },
+            sleeps_until_us: match old {
+                OldOwner::Asleep(us) => until_us(us),
+                _ => 0,
+            },
+        });
+        // Whoever waited for a reply of the old one gets none.
+        let waiting = self.gets.values_mut();
+        waiting.for_each(|answers| answers.ended = true);
+        self.gateway.start(self.now_us, &mut self.random);
+    }
+
+    /// Returns how many gateways still believe that the fleet is theirs, beside the one that has it.
+    pub fn replaced_count(&self) -> usize {
+        self.replaced.len()
+    }
+
     fn lose_gateway(&mut self, for_us: u64) {
         self.returns_at_us = Some(self.now_us + for_us);
         self.gets
@@ -451,7 +506,11 @@ impl World {
             self.gateway.next_at(),
             self.returns_at_us,
         ];
-        nodes.chain(others).flatten().min()
+        let replaced = self.replaced.iter().map(|old| {
+            let at_us = old.gateway.next_at()?;
+            Some(at_us.max(old.sleeps_until_us))
+        });
+        nodes.chain(others).chain(replaced).flatten().min()
     }
 
     /// Does everything that is due now.
@@ -477,9 +536,68 @@ impl World {
         }
         let effects = self.gateway.poll(now_us, &mut self.random);
         self.carry_out(effects);
+        self.step_replaced();
         if self.gateway.take_crash() {
             let for_us = self.random.below(2 * S);
             self.lose_gateway(for_us);
+        }
+    }
+
+    fn step_replaced(&mut self) {
+        let now_us = self.now_us;
+        for mut old in std::mem::take(&mut self.replaced) {
+            if old.sleeps_until_us <= now_us {
+                let effects = old.gateway.poll(now_us, &mut self.random);
+                self.carry_out_of_replaced(&old, effects);
+            }
+            if !old.gateway.take_crash() {
+                self.replaced.push(old);
+            }
+        }
+    }
+
+    /// What comes from nodes, and what clients want that needs no store, the replaced ones hear too.
+    fn tell_replaced(&mut self, event: &Event) {
+        let now_us = self.now_us;
+        for mut old in std::mem::take(&mut self.replaced) {
+            let event = match event.clone() {
+                event @ (Event::FromNode { .. } | Event::Stop { .. }) => Some(event),
+                Event::Release { pattern, .. } => Some(Event::Release {
+                    pattern,
+                    reply: None,
+                }),
+                Event::Pace { pattern, wish, .. } => Some(Event::Pace {
+                    pattern,
+                    wish,
+                    reply: None,
+                }),
+                _ => None,
+            };
+            let hears = old.sleeps_until_us <= now_us && old.cut_until_us <= now_us;
+            if let Some(event) = event.filter(|_| hears) {
+                let effects = old.gateway.handle(event, now_us, &mut self.random);
+                self.carry_out_of_replaced(&old, effects);
+            }
+            self.replaced.push(old);
+        }
+    }
+
+    fn carry_out_of_replaced(&mut self, old: &Replaced, effects: Vec<Effect>) {
+        if old.cut_until_us > self.now_us {
+            return;
+        }
+        for effect in effects {
+            let Effect::Publish { key, payload, .. } = effect else {
+                continue;
+            };
+            let keys = self.keys.clone();
+            match keys.parse(&key) {
+                Some(Topic::Node { node, topic }) if topic != NodeTopic::State => {
+                    let node = NodeId::new(node).expect("orders go to one node");
+                    self.send_to(node, topic, payload);
+                }
+                _ => {}
+            }
         }
     }
 
@@ -600,6 +718,9 @@ impl World {
     }
 
     fn tell(&mut self, event: Event) {
+        if !self.replaced.is_empty() {
+            self.tell_replaced(&event);
+        }
         let effects = self.gateway.handle(event, self.now_us, &mut self.random);
         self.carry_out(effects);
     }

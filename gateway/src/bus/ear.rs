@@ -405,13 +405,18 @@ fn asked(query: &Query) -> Vec<u8> {
 }
 
 /// Returns whom a stop means. A key that includes stop keys without being one (`fleet/**`) means
-/// all nodes, or those of its name chunk: what nodes hear, the gateway must not miss.
+/// all nodes, or those of its name chunk, also when the prefix is wild (`plant/*/node/left/stop`): what
+/// nodes hear, the gateway must not miss.
 fn stop_pattern(keys: &Keys, key: &str) -> String {
     let name = key
         .strip_prefix(keys.prefix())
         .and_then(|rest| rest.strip_prefix("/node/"))
         .and_then(|rest| rest.split('/').next());
-    match name {
+    let of_any_prefix = || {
+        let (_, name) = key.strip_suffix("/stop")?.rsplit_once("/node/")?;
+        (!name.contains('/')).then_some(name)
+    };
+    match name.or_else(of_any_prefix) {
         Some(name) if !name.contains("**") => name.to_owned(),
         _ => "*".to_owned(),
     }
@@ -429,6 +434,11 @@ mod tests {
         assert_eq!(stop_pattern(&keys, "fleet/node/left/**"), "left");
         assert_eq!(stop_pattern(&keys, "fleet/node/**"), "*");
         assert_eq!(stop_pattern(&keys, "**/stop"), "*");
+        let keys = Keys::new("plant/line-a").expect("legal");
+        assert_eq!(stop_pattern(&keys, "plant/*/node/*/stop"), "*");
+        assert_eq!(stop_pattern(&keys, "plant/*/node/left/stop"), "left");
+        assert_eq!(stop_pattern(&keys, "plant/**/node/l$*/stop"), "l$*");
+        assert_eq!(stop_pattern(&keys, "plant/*/node/**/stop"), "*");
     }
 
     #[test]

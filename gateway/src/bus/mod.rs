@@ -23,6 +23,7 @@
 pub mod backup;
 mod ear;
 pub mod limits;
+pub mod owners;
 pub mod zenoh;
 
 use crate::fleet::event::{Event, ReplyTo};

@@ -21,6 +21,7 @@ use super::{
     Inbox, WallClock,
     backup::{BACKUP, Backup},
     ear::{Door, Ear, Gets, refuse},
+    owners::{self, Owners},
 };
 use crate::{
     config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
@@ -39,10 +40,12 @@ use std::{
     time::Duration,
 };
 use thiserror::Error;
+use tokio::sync::watch;
 use zenoh::{
     Session, Wait,
     bytes::{Encoding, ZBytes},
     key_expr::keyexpr,
+    liveliness::LivelinessToken,
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::Queryable,
@@ -121,7 +124,7 @@ pub enum BusError {
     Zenoh(String),
 }
 
-fn zenoh_error(error: zenoh::Error) -> BusError {
+pub(super) fn zenoh_error(error: zenoh::Error) -> BusError {
     BusError::Zenoh(error.to_string())
 }
 
@@ -130,6 +133,7 @@ fn zenoh_error(error: zenoh::Error) -> BusError {
 struct Doors {
     subscribers: Vec<Subscriber<()>>,
     queryables: Vec<Queryable<()>>,
+    tokens: Vec<LivelinessToken>,
 }
 
 /// See the module.
@@ -342,6 +346,24 @@ impl Bus {
         Ok(())
     }
 
+    /// Tells the network that this gateway owns the fleet, and keeps `owners` as the network knows
+    /// them: by the second session, so that what it sees there is seen by others, too.
+    ///
+    /// # Errors
+    /// [`BusError::Zenoh`].
+    pub async fn declare_owner(
+        &self,
+        epoch: u32,
+        owners: watch::Sender<Owners>,
+    ) -> Result<(), BusError> {
+        let subscriber = owners::watch(&self.swift, &self.keys, owners).await?;
+        let token = owners::declare(&self.main, &self.keys, epoch).await?;
+        let mut doors = self.doors.lock().unwrap_or_else(PoisonError::into_inner);
+        doors.subscribers.push(subscriber);
+        doors.tokens.push(token);
+        Ok(())
+    }
+
     /// Stops hearing. What already came is not lost.
     pub fn undeclare(&self) {
         let mut doors = self.doors.lock().unwrap_or_else(PoisonError::into_inner);
@@ -429,6 +451,31 @@ impl Bus {
         self.gets.end_all();
         close(&self.swift).await;
         close(&self.main).await;
+    }
+}
+
+/// Sees who owns the fleet, and nothing else: the eyes of a gateway that stands by.
+pub(crate) struct Watcher {
+    session: Session,
+    _subscriber: Subscriber<()>,
+}
+
+impl Watcher {
+    /// Joins the network and keeps `owners` as it knows them.
+    pub(crate) async fn open(
+        config: &GatewayConfig,
+        owners: watch::Sender<Owners>,
+    ) -> Result<Self, BusError> {
+        let session = open_client(&config.connect, config.credentials.as_ref()).await?;
+        let subscriber = owners::watch(&session, &config.keys, owners).await?;
+        Ok(Self {
+            session,
+            _subscriber: subscriber,
+        })
+    }
+
+    pub(crate) async fn close(&self) {
+        close(&self.session).await;
     }
 }
 

@@ -16,27 +16,28 @@
 //!
 //! Absent on purpose: the conversation of a start (`start`), the record (`job::group`).
 
+mod parts;
+mod submit;
+
+pub(super) use parts::new_part;
+pub use parts::parts_of;
+
 use super::{
     Fleet,
-    event::{Effect, Lane, ReplyTo},
+    event::{Effect, Lane},
     start::{Edge, Limits, Start, Step},
-    submit::{check_script, demand_no_signature, script_of},
 };
 use crate::job::{
-    Ending, Job, JobEntry,
+    Ending, Job,
     group::{GroupEntry, joined},
-    new_record,
 };
 use keys::{
-    Command, FleetMicros, GroupId, JobId, NodeId, NodeTopic, StopMode,
-    job::{GroupRequest, Offline, Work},
-    record::{ErrorCode, JobError, JobState, PartRecord},
+    FleetMicros, JobId, NodeId, NodeTopic, StopMode,
+    job::{GroupRequest, Work},
+    record::{ErrorCode, JobError, JobState},
     start::StartMessage,
 };
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    sync::Arc,
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest clock error of a start when a client says nothing, µs.
 pub(super) const MAX_SKEW_US: f64 = 1_000.0;
@@ -91,219 +92,7 @@ impl Group {
     }
 }
 
-/// Returns the commands of each part, the barrier of the start in front.
-pub(super) fn parts_of(request: &GroupRequest) -> BTreeMap<NodeId, Arc<[Command]>> {
-    let numbers = request.barrier_numbers();
-    let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
-    let part = |work: &Work| -> Arc<[Command]> {
-        let own = match work {
-            Work::Commands(commands) => commands.as_slice(),
-            Work::Lua(_) => &[],
-        };
-        let head = Command::Barrier { barrier: 0 };
-        std::iter::once(head)
-            .chain(own.iter().map(|command| command.to_command(number)))
-            .collect()
-    };
-    request
-        .nodes
-        .iter()
-        .map(|(node, work)| (*node, part(work)))
-        .collect()
-}
-
-/// Makes a part of a job, without a barrier in its count.
-pub(super) fn new_part(
-    whole: &JobEntry,
-    node: NodeId,
-    commands: Arc<[Command]>,
-    script: Option<Arc<str>>,
-) -> Job {
-    let total = (commands.len() as u64).saturating_sub(1);
-    let created = whole.record.created;
-    let mut record = new_record(
-        whole.record.job,
-        Some(node),
-        JobState::Queued,
-        total,
-        created,
-    );
-    record.group = whole.record.group;
-    record.updated = whole.record.updated;
-    let mut part = Job::new(JobEntry::new(record, whole.sequence), commands);
-    part.head_commands = 1;
-    part.with_script(script)
-}
-
 impl Fleet {
-    // ───────────────────────────── in ─────────────────────────────
-
-    pub(super) fn submit_group(
-        &mut self,
-        pattern: &str,
-        request: Result<GroupRequest, JobError>,
-        id_hint: Option<JobId>,
-        reply: Option<ReplyTo>,
-        effects: &mut Vec<Effect>,
-    ) {
-        let group = GroupId::new(pattern).map_err(|error| {
-            let message = format!("`{pattern}` is no name of a group: {error}");
-            JobError::new(ErrorCode::BadId, message)
-        });
-        let name = group.clone().ok();
-        match group.and_then(|group| Ok((group, request?))) {
-            Err(error) => self.refuse(error, id_hint, None, name, None, reply, effects),
-            Ok((group, request)) => self.submit_parts(group, &request, reply, effects),
-        }
-        if let Some(to) = reply {
-            effects.push(Effect::ReplyEnd { to });
-        }
-    }
-
-    fn submit_parts(
-        &mut self,
-        group: GroupId,
-        request: &GroupRequest,
-        reply: Option<ReplyTo>,
-        effects: &mut Vec<Effect>,
-    ) {
-        let key = self.config.keys.group_job(&group);
-        let exists = |id: &JobId| {
-            let job = self.book.get(id);
-            job.is_some_and(|job| job.state() != JobState::Rejected)
-        };
-        if let Some(id) = request.id.filter(exists) {
-            return self.receipt(&id, &key, reply, effects);
-        }
-        if let Err(error) = demand_no_signature(&self.config.signers) {
-            return self.refuse(error, request.id, None, Some(group), None, reply, effects);
-        }
-        let parts = parts_of(request);
-        let mut refusals = self.refusals(request, &parts);
-        // What is wrong with the job is refused. That a node is away or stopped just now is not the
-        // job's fault: it is taken, and has failed before anything moved.
-        let passing = |error: &JobError| match error.code {
-            ErrorCode::NodeOffline => request.offline != Some(Offline::Reject),
-            ErrorCode::Stopped => true,
-            _ => false,
-        };
-        let mut away = BTreeMap::new();
-        if refusals.values().all(passing) {
-            away = std::mem::take(&mut refusals);
-        }
-        if let Some(error) = refusal(&refusals) {
-            let parts = request.nodes.keys().map(|node| {
-                let part = PartRecord {
-                    state: JobState::Rejected,
-                    progress: keys::record::Progress::default(),
-                    error: refusals.get(node).cloned(),
-                    result: None,
-                };
-                (*node, part)
-            });
-            let parts = Some(parts.collect());
-            return self.refuse(error, request.id, None, Some(group), parts, reply, effects);
-        }
-        let id = request.id.unwrap_or_else(|| self.make_id());
-        let mut record = new_record(id, None, JobState::Queued, 0, self.now);
-        record.version += self.version_of_rejected(&id);
-        record.group = Some(group);
-        let mut entry = JobEntry::new(record, self.book.take_sequence());
-        entry.group = Some(Box::default());
-        let mut job = Job::new(entry, Arc::new([]));
-        for (node, commands) in parts {
-            let script = request.nodes.get(&node).and_then(script_of);
-            let part = new_part(&job.entry, node, commands, script);
-            job.parts.insert(node, part);
-        }
-        job.measuring = true;
-        job.begin();
-        let nodes: Vec<NodeId> = job.parts.keys().copied().collect();
-        let mut stored = vec![keys::version::CURRENT];
-        stored
-            .extend(postcard::to_allocvec(request).expect("a request has no part that cannot be"));
-        self.book.insert(job, Some(stored), effects);
-        self.groups.insert(id, Group::new(request));
-        self.receipt(&id, &key, reply, effects);
-        if let Some(error) = refusal(&away) {
-            return self.end_group(&id, Ending::Fail(error), away, effects);
-        }
-        for node in nodes {
-            self.with_node(node, effects, |node, turn| node.enqueue(id, turn.book));
-        }
-    }
-
-    /// Returns why each node cannot take its part.
-    fn refusals(
-        &self,
-        request: &GroupRequest,
-        parts: &BTreeMap<NodeId, Arc<[Command]>>,
-    ) -> BTreeMap<NodeId, JobError> {
-        let mut refusals = BTreeMap::new();
-        let mut held = self.book.held_commands();
-        for (node, commands) in parts {
-            held += commands.len();
-            let work = &request.nodes[node];
-            let own = &commands[1..];
-            if let Err(error) = self.refusal_of(*node, request.offline, work, own, held) {
-                refusals.insert(*node, error);
-            }
-        }
-        refusals
-    }
-
-    fn refusal_of(
-        &self,
-        node: NodeId,
-        offline: Option<Offline>,
-        work: &Work,
-        own: &[Command],
-        held: usize,
-    ) -> Result<(), JobError> {
-        let refuse = |code, message: String| Err(JobError::new(code, message));
-        let placed = |separator: &'static str| {
-            move |error: JobError| {
-                let message = format!("nodes.{node}{separator}{}", error.message);
-                JobError::new(error.code, message)
-            }
-        };
-        let Some(view) = self.nodes.get(&node) else {
-            let message = format!("no node `{node}` has ever been seen");
-            return refuse(ErrorCode::UnknownNode, message);
-        };
-        view.check(&[], true).map_err(placed(": "))?;
-        if let Work::Lua(_) = work {
-            check_script(view.facts().features).map_err(placed("."))?;
-        }
-        view.check(own, true).map_err(placed("."))?;
-        if let Some(reason) = &view.facts().maintenance {
-            let message = format!("node {node} is in maintenance: {reason}");
-            return refuse(ErrorCode::NotAllowed, message);
-        }
-        if view.is_stopped() {
-            let message = format!("node {node} is stopped; release it first");
-            return refuse(ErrorCode::Stopped, message);
-        }
-        // Unlike a plain job it does not wait for a node that is away unless it says so: the
-        // other nodes would be held up.
-        if !view.is_alive() && offline != Some(Offline::Queue) {
-            return refuse(ErrorCode::NodeOffline, format!("node {node} is offline"));
-        }
-        let waiting_count = view.waiting().len();
-        if waiting_count >= self.config.waiting_jobs_max {
-            let message = format!("{waiting_count} jobs wait for node {node}; no more can");
-            return refuse(ErrorCode::TooLarge, message);
-        }
-        if held > self.config.held_commands_max {
-            let message = format!(
-                "all jobs together would hold {held} commands; at most {} can be held",
-                self.config.held_commands_max
-            );
-            return refuse(ErrorCode::TooLarge, message);
-        }
-        Ok(())
-    }
-
     /// A node said something about a meeting point.
     pub(super) fn hear_start(
         &mut self,
@@ -547,7 +336,10 @@ impl Fleet {
                 .node(node, NodeTopic::Start)
                 .as_str()
                 .to_owned(),
-            payload: bytes.to_vec(),
+            payload: match self.nodes.get(node) {
+                Some(node) => node.facts().with_epoch(self.config.epoch, bytes),
+                None => bytes.to_vec(),
+            },
             json: false,
             // Only a commit needs the plan to be durable; whatever else is said depends on the
             // answer to one, or holds nodes back.
@@ -704,14 +496,4 @@ impl Fleet {
 fn measuring_until(job: &Job) -> FleetMicros {
     let ends = job.parts.values().map(|part| part.entry.record.updated);
     ends.max().unwrap_or_default().plus_us(MEASURING_US)
-}
-
-/// Puts refusals together; the first one gives the code. Each names its node already.
-fn refusal(refusals: &BTreeMap<NodeId, JobError>) -> Option<JobError> {
-    let first = refusals.values().next()?;
-    let messages: Vec<&str> = refusals
-        .values()
-        .map(|error| error.message.as_str())
-        .collect();
-    Some(JobError::new(first.code, messages.join("; ")))
 }

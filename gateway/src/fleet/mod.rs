@@ -24,6 +24,7 @@ mod history;
 pub mod kept;
 pub mod manage;
 pub mod node;
+pub mod owner;
 pub mod pattern;
 mod restore;
 pub mod route;
@@ -31,6 +32,7 @@ pub mod start;
 mod submit;
 mod timers;
 
+pub use group::parts_of;
 pub use history::{LIMIT_DEFAULT, LIMIT_MAX};
 pub use restore::{RestoreError, Stored};
 pub use submit::commands_of;
@@ -44,6 +46,7 @@ use group::Group;
 use keys::{
     BatchAck, FleetMicros, JobId, Keys, NodeId, NodeTopic, ScriptReport, Status, StopMode,
     clock::ClockMessage,
+    epoch,
     pace::PaceMessage,
     record::{ErrorCode, ErrorReply, JobError, NodeRecord, to_json},
     start::StartMessage,
@@ -87,6 +90,9 @@ pub struct FleetConfig {
     pub stop_repeat_us: u64,
     /// How long a release is tried, µs.
     pub release_patience_us: u64,
+    /// Epoch of this gateway, newer than those of all that had the fleet before, see [`owner`]; 0:
+    /// it has none, and nodes obey it until they have heard one that has.
+    pub epoch: u32,
     /// Public keys of operators: a job that none of them has signed is refused. None by default.
     pub signers: Vec<[u8; 32]>,
 }
@@ -107,6 +113,7 @@ impl FleetConfig {
             node_record_us: 50_000,
             stop_repeat_us: 500_000,
             release_patience_us: 3_000_000,
+            epoch: 0,
             signers: Vec::new(),
         }
     }
@@ -334,6 +341,9 @@ impl Fleet {
                 Ok(ack) => self.with_node(id, effects, |node, turn| node.handle_ack(&ack, turn)),
                 Err(_) => self.ignored_count += 1,
             },
+            // Nodes say nothing behind an epoch: this is another gateway's word to the node.
+            NodeTopic::Clock | NodeTopic::Start | NodeTopic::Pace
+                if payload.first() == Some(&epoch::MARK) => {}
             NodeTopic::Clock => match version::decode::<ClockMessage>(payload) {
                 Ok(ClockMessage::Reply(reply)) => {
                     self.with_node(id, effects, |node, _| {

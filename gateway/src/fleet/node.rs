@@ -22,28 +22,29 @@
 //! client reads are converted, here).
 
 mod act;
+mod facts;
 mod hear;
 mod pace;
 mod show;
+mod turn;
 
+pub use facts::{Facts, Latch};
 pub use pace::Wish;
+pub(super) use turn::{Released, Turn};
 
 use super::{
-    FleetConfig,
     clock::ClockTrack,
-    event::{Effect, Lane, ReplyTo},
+    event::ReplyTo,
     manage::{self, MaintenanceWish, NodeWishes},
     route::{RoundTrip, Route},
 };
 use crate::job::{Change, Ending, Job, book::Book, group::Passed};
 use keys::{
-    Fault, Features, FleetMicros, GroupId, JobId, Keys, NodeId, NodeTopic, QueueId, Status,
-    StopMode, StopReason,
+    Fault, Features, FleetMicros, GroupId, JobId, LocalMicros, NodeId, QueueId, Status, StopMode,
     command::BARRIER_RESUME,
     record::{ErrorCode, JobError, JobState, NodeRecord, no_such_axis},
 };
-use serde::{Deserialize, Serialize};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 /// Boots that are remembered as over.
 const REPLACED_BOOTS_MAX: usize = 8;
@@ -54,105 +55,21 @@ const PROBES_MAX: usize = 16;
 /// Gets that may wait for one release.
 const RELEASE_WAITERS_MAX: usize = 64;
 
-/// What stays true of a node while it is away, or while the gateway is.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Facts {
-    /// The life of its queue that it told last.
-    pub queue: QueueId,
-    /// Boots that came before, oldest first.
-    pub replaced_boots: VecDeque<u32>,
-    /// What its firmware can do.
-    pub features: Features,
-    /// Version of its firmware.
-    pub firmware: [u8; 3],
-    /// Position of each axis when it was last written down, steps.
-    pub position_steps: Vec<i64>,
-    /// Its latch.
-    pub latch: Option<Latch>,
-    /// A stop that it may not have heard: sent until it is seen latched.
-    pub pending_stop: Option<StopMode>,
-    /// The queue that must be dropped before any other job may go to it.
-    pub drop_queue: Option<QueueId>,
-    /// It must be dropped at once, without a ramp.
-    #[serde(default)]
-    pub drop_halts: bool,
-    /// Names under which it can be meant together with others.
-    #[serde(default)]
-    pub labels: BTreeSet<GroupId>,
-    /// Why it is given no jobs.
-    #[serde(default)]
-    pub maintenance: Option<String>,
-    /// It takes jobs and begins none.
-    #[serde(default)]
-    pub queue_held: bool,
+/// A boot that was replaced and speaks on: another controller has the same name.
+#[derive(Clone, Copy, Debug)]
+struct Twin {
+    boot: u32,
+    /// Its first word after it was replaced: when, and its own clock then.
+    first_at: FleetMicros,
+    first_local: LocalMicros,
+    last_at: FleetMicros,
+    /// It was no late word: time passes for it.
+    certain: bool,
 }
 
-/// A stop latch as it was seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Latch {
-    /// The queue that was current when it was seen.
-    pub queue: QueueId,
-    /// Why, once the node has reported.
-    pub reason: Option<StopReason>,
-    /// When.
-    pub at: FleetMicros,
-}
-
-/// One instant of the fleet: what every verb needs besides the node.
-pub(super) struct Turn<'t> {
-    pub(super) now: FleetMicros,
-    pub(super) started_at: FleetMicros,
-    pub(super) config: &'t FleetConfig,
-    pub(super) book: &'t mut Book,
-    pub(super) effects: &'t mut Vec<Effect>,
-    /// Releases that are over.
-    pub(super) released: Vec<Released>,
-    /// A clock probe may leave: its stamp is `now`, and a second one would leave later.
-    pub(super) may_probe: bool,
-}
-
-/// What became of a get on `release`, `hold`, `resume` or `speed`.
-pub(super) struct Released {
-    pub(super) to: ReplyTo,
-    /// Why it is not as wished; `Ok`: it is.
-    pub(super) outcome: Result<(), JobError>,
-    /// What the reply says; `None`: the node's record.
-    pub(super) receipt: Option<Vec<u8>>,
-}
-
-impl Released {
-    fn done(to: ReplyTo) -> Self {
-        Self {
-            to,
-            outcome: Ok(()),
-            receipt: None,
-        }
-    }
-
-    fn refused(to: ReplyTo, error: JobError) -> Self {
-        Self {
-            to,
-            outcome: Err(error),
-            receipt: None,
-        }
-    }
-}
-
-impl Turn<'_> {
-    fn keys(&self) -> &Keys {
-        &self.config.keys
-    }
-
-    fn publish(&mut self, node: &NodeId, topic: NodeTopic, payload: Vec<u8>, lane: Lane) {
-        let key = self.keys().node(node, topic).as_str().to_owned();
-        self.effects.push(Effect::Publish {
-            key,
-            payload,
-            json: matches!(topic, NodeTopic::State | NodeTopic::Stop),
-            lane,
-        });
-    }
-}
+/// How long a replaced boot must speak on, by our clock and for the most part by its own, before it is
+/// a controller and not what a slow way kept, µs.
+const TWIN_US: u64 = 2_000_000;
 
 /// A client's wish to lift the latch.
 #[derive(Clone, Debug)]
@@ -227,6 +144,9 @@ pub struct Node {
     next_probe: u32,
     probes: VecDeque<(u32, FleetMicros)>,
     faults: Vec<SeenFault>,
+    twin: Option<Twin>,
+    /// Since when it is known to obey another gateway.
+    disobeys_at: Option<FleetMicros>,
     told: Option<NodeRecord>,
     told_at: FleetMicros,
     /// Something that the record shows may have changed.
@@ -262,6 +182,8 @@ impl Node {
             next_probe: 1,
             probes: VecDeque::new(),
             faults: Vec::new(),
+            twin: None,
+            disobeys_at: None,
             told: None,
             told_at: FleetMicros(0),
             stale_record: true,
@@ -296,6 +218,16 @@ impl Node {
     /// Returns what is known of its clock.
     pub fn clock(&self) -> &ClockTrack {
         &self.clock
+    }
+
+    /// Returns whether another controller speaks under its name.
+    pub fn has_twin(&self) -> bool {
+        self.twin.is_some_and(|twin| twin.certain)
+    }
+
+    /// Returns whether it obeys another gateway.
+    pub fn is_disobedient(&self) -> bool {
+        self.disobeys_at.is_some()
     }
 
     /// Returns whether a stop holds it, as far as is known.

@@ -219,6 +219,7 @@ impl Fleet {
             part.entry.activation = stored.activation;
             part.entry.ending = stored.ending;
             part.entry.script_end = stored.script_end;
+            part.entry.signature = stored.signature;
             part.entry.record.state = record.state;
             part.entry.record.progress = record.progress;
             part.entry.record.error = record.error;

@@ -226,6 +226,12 @@ impl Route {
                 None => Setback::None,
             },
             Refusal::NotSigned => Setback::NotSigned,
+            // It obeys another gateway. This one goes on asking, in case that one is gone with its
+            // clock: nothing that it says is taken meanwhile.
+            Refusal::Superseded { .. } => {
+                self.hold(now);
+                Setback::None
+            }
             Refusal::Malformed => {
                 self.malformed_count += 1;
                 if self.malformed_count >= MALFORMED_COUNT_MAX {

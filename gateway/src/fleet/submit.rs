@@ -319,8 +319,7 @@ pub(super) fn demand_no_signature(signers: &[[u8; 32]]) -> Result<(), JobError> 
     if signers.is_empty() {
         return Ok(());
     }
-    let message = "an operator has to sign what is executed here (`fleet submit --sign`), and a \
-                   synchronized job cannot be signed yet";
+    let message = "an operator has to sign what is executed here (`fleet submit --sign`)";
     Err(JobError::new(ErrorCode::NotAllowed, message))
 }
 

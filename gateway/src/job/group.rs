@@ -24,6 +24,7 @@ use super::{Activation, Change, Ending, Job, ScriptEnd, is_legal};
 use crate::fleet::start::NamedMeeting;
 use keys::{
     FleetMicros, NodeId,
+    job::JobSignature,
     record::{ErrorCode, JobError, JobState, PartRecord, Progress},
 };
 use serde::{Deserialize, Serialize};
@@ -56,6 +57,9 @@ pub struct PartEntry {
     /// How its script has ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub script_end: Option<ScriptEnd>,
+    /// The operator's signature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signature: Option<JobSignature>,
 }
 
 /// Whether a node has passed the barrier of a start, as far as is known.
@@ -110,6 +114,7 @@ impl Job {
                     ending: part.entry.ending.clone(),
                     passed: part.passed,
                     script_end: part.entry.script_end.clone(),
+                    signature: part.entry.signature.clone(),
                 },
             );
         }

@@ -34,7 +34,8 @@
 //! **Signed jobs** are described in [`keys::signed`]. Why the life of the node is signed and no date:
 //! a node has no calendar, and one that believed its gateway's would believe an attacker's. A job that
 //! was signed before a reboot must be signed again. Not signed, and so not taken by a node that asks
-//! for signatures: synchronized jobs, scripts to be stored. Within one life of a node a key's number
+//! for signatures: scripts to be stored. A part of a synchronized job is signed with its meeting points;
+//! the instants at which it passes them are not. Within one life of a node a key's number
 //! is used once; of each key the last 16 are remembered and older ones refused.
 //!
 //! **TLS on a node** is not built in; a node proves itself by a password that is never sent, and what
@@ -55,6 +56,12 @@
 //!
 //! **Clocks.** Certificates are good for twenty years, so that a clock which is wrong by months does
 //! not stop a fleet; nothing else here asks what day it is.
+//!
+//! **Epochs** ([`keys::epoch`]) keep a gateway that was replaced from moving anything; they are no
+//! defence against one that lies. Whoever may give orders to a node can say the highest epoch, and no
+//! honest gateway is obeyed until that node boots. A node can make nobody resign: its record says that
+//! it obeys another gateway, and the others are served. Only who may be a gateway can declare an
+//! owner's token.
 //!
 //! **Denial.** A fleet in a network that somebody else owns can be kept from working. It cannot be
 //! kept from stopping: a node that loses its link stops by itself, and a stop pin needs no network.

@@ -14,8 +14,8 @@ use keys::{
     job::{Hex, JobSignature},
     record::{ErrorCode, JobError},
     signed::{
-        END, Hash, Proof, SIGNED_COMMANDS_MAX, Statement, link_command, root_of_commands,
-        root_of_script,
+        END, Hash, Proof, SIGNED_COMMANDS_MAX, Statement, link_command, root_before,
+        root_of_commands, root_of_script,
     },
     signed_script::Line,
 };
@@ -91,13 +91,15 @@ impl Signer {
     }
 }
 
-/// Returns the root and the number of commands that are signed.
+/// Returns the root and the number of commands that are signed. A script with commands is one part of
+/// a synchronized job, and stands behind them.
 ///
 /// # Errors
 /// There are more than [`SIGNED_COMMANDS_MAX`].
 pub fn root_of(commands: &[Command], script: Option<&str>) -> Result<(Hash, u64), JobError> {
-    match script {
-        Some(script) => Ok((root_of_script(script_bytes(script)), 0)),
+    match script.map(|script| root_of_script(script_bytes(script))) {
+        Some(root) if commands.is_empty() => Ok((root, 0)),
+        Some(root) => Ok((root_before(commands, root), commands.len() as u64 + 1)),
         None if commands.len() > SIGNED_COMMANDS_MAX => {
             let message = format!(
                 "{} commands; a signed job has at most {SIGNED_COMMANDS_MAX}",
@@ -152,7 +154,7 @@ pub fn check(
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signed {
     proof: Proof,
-    /// The chain at each command.
+    /// The chain at each command, and behind the last.
     chain: Arc<[Hash]>,
 }
 
@@ -162,15 +164,12 @@ impl Signed {
         let signature = job.entry.signature.as_ref()?;
         let activation = job.entry.activation?;
         let (root, command_count) = root_of(&job.commands, job.script.as_deref()).ok()?;
-        let mut chain: Vec<Hash> = job
-            .commands
-            .iter()
-            .rev()
-            .scan(END, |after, command| {
-                *after = link_command(command, after);
-                Some(*after)
-            })
-            .collect();
+        let script = job.script.as_deref();
+        let end = script.map_or(END, |script| root_of_script(script_bytes(script)));
+        let mut chain = vec![end];
+        for command in job.commands.iter().rev() {
+            chain.push(link_command(command, &chain[chain.len() - 1]));
+        }
         chain.reverse();
         let half = |from: usize| {
             let mut half = END;

@@ -71,6 +71,8 @@ struct RawPart {
     call: Option<String>,
     #[serde(default)]
     args: Option<serde_json::Value>,
+    #[serde(default)]
+    signature: Option<JobSignature>,
 }
 
 /// Parts by the name of their node, in the order of the text: a name that comes twice must not
@@ -157,6 +159,7 @@ impl GroupRequest {
         }
         let raw: RawGroup = read_object(payload)?;
         let mut nodes = BTreeMap::new();
+        let mut signatures = BTreeMap::new();
         for (name, part) in raw.nodes.0 {
             let bad = |words: &dyn fmt::Display| {
                 JobError::new(ErrorCode::BadJson, format!("nodes.{name}: {words}"))
@@ -168,6 +171,7 @@ impl GroupRequest {
             if nodes.insert(node, work).is_some() {
                 return Err(bad(&"there is a part for this node already"));
             }
+            signatures.extend(part.signature.map(|signature| (node, signature)));
         }
         let request = Self {
             id: read_id(raw.id)?,
@@ -176,6 +180,7 @@ impl GroupRequest {
             ready_timeout_ms: raw.ready_timeout_ms,
             offline: raw.offline,
             timeout_s: raw.timeout_s,
+            signatures,
         };
         request.check()?;
         Ok(request)

@@ -11,7 +11,7 @@
 //!   Gap                                    first ──── end
 //! ```
 //!
-//! Before that: other queue → `Stale`, stop → `Stopped`. After it: every command is read and
+//! Before that: older gateway → `Superseded`, other queue → `Stale`, stop → `Stopped`. After it: every command is read and
 //! checked (`Malformed`, `BadCommand`, `OutOfReach`), then `QueueShort`, and only then the first one is written
 //! to the ring. So a refused batch leaves no trace in it.
 
@@ -34,8 +34,15 @@ pub(crate) struct CurrentJob {
 
 impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Takes an order and returns what became of it.
-    pub(crate) fn take_order(&mut self, payload: &[u8], now: LocalMicros) -> Verdict {
-        let verdict = self.order(payload, now);
+    pub(crate) fn take_order(
+        &mut self,
+        payload: Result<&[u8], Refusal>,
+        now: LocalMicros,
+    ) -> Verdict {
+        let verdict = match payload {
+            Ok(payload) => self.order(payload, now),
+            Err(refusal) => Verdict::Refused(refusal),
+        };
         match verdict {
             Verdict::Refused(refusal) => self.trace.note(now, Event::Refused(refusal)),
             Verdict::Duplicate => self.trace.note(now, Event::Duplicate),

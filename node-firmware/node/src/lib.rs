@@ -61,10 +61,11 @@ use crate::{
 use ::script::Limits;
 use core::sync::atomic::AtomicU32;
 use keys::{
-    AxisId, Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId, Stop,
-    StopMode, StopReason, StopReport,
+    AxisId, Command, Fault, JobId, Keys, LocalMicros, NodeId, NodeState, NodeTopic, QueueId,
+    Refusal, Stop, StopMode, StopReason, StopReport,
     clock::{ClockMessage, ClockReply},
     command::Ramp,
+    epoch,
     script::REPORT_BYTES_MAX,
     status::{FAULTS_MAX, FaultCode},
     version,
@@ -248,6 +249,8 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     publications: heapless::Deque<Publication, PUBLICATIONS_MAX>,
     stored: Library,
     signed: Verifier,
+    /// The newest epoch of a gateway that was heard since the boot: none older is obeyed.
+    epoch: u32,
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     teller: Teller,
@@ -310,6 +313,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             publications: heapless::Deque::new(),
             stored: Library::default(),
             signed: Verifier::default(),
+            epoch: 0,
             rssi_dbm: None,
             outbox: Outbox::new(),
             teller: Teller::default(),
@@ -347,41 +351,35 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
                 self.motion.input(level);
             }
             Inbound::Message {
-                topic: NodeTopic::Clock,
-                payload,
-            } => {
-                self.take_clock(payload, now);
-                return;
-            }
-            Inbound::Message {
-                topic: NodeTopic::Batch,
-                payload,
-            } => {
-                // Books what has ended, so that the answer counts it.
-                self.run_motion(now);
-                let verdict = self.take_order(payload, now);
-                self.run_motion(now);
-                self.acknowledge(verdict, now);
-            }
-            Inbound::Message {
-                topic: NodeTopic::Start,
-                payload,
-            } => {
-                self.run_motion(now);
-                self.take_start(payload, now);
-            }
-            Inbound::Message {
-                topic: NodeTopic::Pace,
-                payload,
-            } => {
-                self.run_motion(now);
-                self.take_pace(payload, now);
-            }
-            Inbound::Message {
                 topic: NodeTopic::Jog,
                 payload,
             } => self.ask_jog(payload, now),
-            Inbound::Message { .. } => self.trace.note(now, Event::MessageDropped),
+            Inbound::Message { topic, payload } => match (topic, self.obey(payload)) {
+                (NodeTopic::Clock, Ok(payload)) => {
+                    self.take_clock(payload, now);
+                    return;
+                }
+                (NodeTopic::Batch, payload) => {
+                    // Books what has ended, so that the answer counts it.
+                    self.run_motion(now);
+                    let verdict = self.take_order(payload, now);
+                    self.run_motion(now);
+                    self.acknowledge(verdict, now);
+                }
+                (NodeTopic::Start, Ok(payload)) => {
+                    self.run_motion(now);
+                    self.take_start(payload, now);
+                }
+                (NodeTopic::Pace, Ok(payload)) => {
+                    self.run_motion(now);
+                    self.take_pace(payload, now);
+                }
+                // Nobody is told: its gateway hears it by the answer to an order.
+                (NodeTopic::Clock | NodeTopic::Start | NodeTopic::Pace, Err(refusal)) => {
+                    self.trace.note(now, Event::Refused(refusal));
+                }
+                _ => self.trace.note(now, Event::MessageDropped),
+            },
             Inbound::LinkUp => self.take_link_up(now),
             Inbound::LinkDown => self.take_link_down(now),
             Inbound::Lidar { mm } => {
@@ -397,6 +395,16 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         self.run_script(now);
         self.run_motion(now);
         self.settle(now);
+    }
+
+    /// Takes the epoch off a gateway's message, which is obeyed unless a newer one was heard.
+    fn obey<'b>(&mut self, payload: &'b [u8]) -> Result<&'b [u8], Refusal> {
+        let (epoch, payload) = epoch::split(payload).map_err(|_| Refusal::Malformed)?;
+        if epoch < self.epoch {
+            return Err(Refusal::Superseded { epoch: self.epoch });
+        }
+        self.epoch = epoch;
+        Ok(payload)
     }
 
     /// Lets time pass: plans, books, reports. Call it at [`Node::poll_timeout`], or earlier.

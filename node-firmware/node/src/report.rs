@@ -55,7 +55,8 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 .features()
                 .with(Features::LUA)
                 .with(Features::PACE)
-                .with(Features::JOG),
+                .with(Features::JOG)
+                .with(Features::EPOCH),
             firmware: self.config.firmware,
             rssi_dbm: self.rssi_dbm,
             laser_percent: self.laser_percent,

@@ -139,9 +139,10 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         }
         if text.len() >= total {
             let (signers, name) = (&self.config.signers, &self.config.name);
-            let checked =
-                self.signed
-                    .check_script(signers, name, proof, header.queue, &header.job, text);
+            let place = (header.queue, header.first_command);
+            let checked = self
+                .signed
+                .check_script(signers, name, proof, place, &header.job, text);
             let signed = checked.inspect_err(|_| self.script = Slot::None)?;
             self.begin_script(now)?;
             self.signed.advance(&self.config.signers, signed);

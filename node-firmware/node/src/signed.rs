@@ -106,7 +106,7 @@ impl Verifier {
         keys: &Keys,
         name: &NodeId,
         proof: Option<&Proof>,
-        queue: QueueId,
+        (queue, at): (QueueId, u64),
         job: &JobId,
         text: &[u8],
     ) -> Result<Option<Progress>, Refusal> {
@@ -114,11 +114,19 @@ impl Verifier {
             return Ok(None);
         }
         let proof = proof.ok_or(Refusal::NotSigned)?;
-        let progress = self.progress_of(keys, name, proof, queue, job)?;
+        let mut progress = self.progress_of(keys, name, proof, queue, job)?;
         let is_new = !self.is_going_on(proof, queue, job);
-        if !is_new || proof.command_count != 0 || root_of_script(text) != proof.root {
+        // Alone, or as the last of what was signed.
+        let in_place = if proof.command_count == 0 {
+            is_new
+        } else {
+            progress.at == at && at + 1 == proof.end()
+        };
+        if !in_place || root_of_script(text) != progress.expected {
             return Err(Refusal::NotSigned);
         }
+        progress.at = at + 1;
+        progress.expected = END;
         Ok(Some(progress))
     }
 

@@ -5,12 +5,14 @@ mod rig;
 
 use ed25519_dalek::{Signer as _, SigningKey};
 use keys::{
-    BatchHeader, Command, NodeId, Order, QueueId, Refusal, ScriptHeader, StopMode, Verdict,
+    BatchHeader, Command, NodeId, NodeTopic, Order, QueueId, Refusal, ScriptHeader, StopMode,
+    Verdict,
     batch::ORDER_BYTES_MAX,
     signed::{
-        END, Hash, PROOF_BYTES_MAX, Proof, Statement, link_command, root_of_commands,
+        END, Hash, PROOF_BYTES_MAX, Proof, Statement, link_command, root_before, root_of_commands,
         root_of_script,
     },
+    start::StartMessage,
     version,
 };
 use rig::{Rig, batch_bytes, config, job, steps};
@@ -309,6 +311,155 @@ fn a_script_runs_if_it_is_the_one_that_was_signed() {
     let (again, _) = order(&rig, text, 1, text);
     assert_eq!(rig.order_bytes(&again).verdict, NOT_SIGNED, "replayed");
     rig.run_for(2_000_000);
+    assert_eq!(rig.position(), 25);
+}
+
+/// Lets the node start at the barrier that has this number.
+fn start(rig: &mut Rig, command: u64) {
+    rig.run_for(10_000);
+    let queue = rig.queue();
+    let commit = StartMessage::Commit {
+        queue,
+        command,
+        start_at: rig.now.plus_us(400_000),
+        confirm_by: rig.now.plus_us(200_000),
+    };
+    for message in [commit, StartMessage::Confirm { queue, command }] {
+        let mut buffer = [0; 64];
+        let bytes = version::encode(&message, &mut buffer).expect("room");
+        let bytes = bytes.to_vec();
+        rig.put(NodeTopic::Start, &bytes);
+        rig.drain();
+    }
+    rig.run_for(2_000_000);
+}
+
+fn barrier(barrier: u16) -> Command {
+    Command::Barrier { barrier }
+}
+
+#[test]
+fn a_part_of_a_synchronized_job_is_signed_with_its_meeting_points() {
+    let alice = Operator::new(1);
+    let mut rig = secured(&[&alice]);
+    let part = [barrier(0), steps(10), barrier(1), steps(20)];
+    let signed = alice.commands(&rig, 1, &part);
+    let without = |index: usize| {
+        let mut changed = signed.clone();
+        changed.commands.remove(index);
+        changed.order(0, 3)
+    };
+    let with = |index: usize, command| {
+        let mut changed = signed.clone();
+        changed.commands[index] = command;
+        changed.whole()
+    };
+    let mut early = signed.clone();
+    early.commands.swap(1, 2);
+    for (what, order) in [
+        ("at once", without(0)),
+        ("through the second meeting point", without(2)),
+        ("at another meeting point", with(2, barrier(2))),
+        ("a meeting point for a command", with(1, barrier(1))),
+        ("a command for a meeting point", with(2, steps(1))),
+        ("before the meeting point", early.whole()),
+    ] {
+        assert_eq!(rig.order_bytes(&order).verdict, NOT_SIGNED, "{what}");
+    }
+    assert_eq!(rig.order_bytes(&signed.whole()).verdict, Verdict::Accepted);
+    rig.run_for(1_000_000);
+    assert_eq!(rig.position(), 0, "it waits for the others");
+    start(&mut rig, 0);
+    assert_eq!(rig.position(), 10);
+    start(&mut rig, 2);
+    assert_eq!(rig.position(), 30);
+    let mut replay = signed.clone();
+    replay.header = rig.next_header(part.len());
+    replay.proof.first_command = replay.header.first_command;
+    assert_eq!(rig.order_bytes(&replay.whole()).verdict, NOT_SIGNED);
+}
+
+/// A script behind the barrier of a start, as anybody in between sees it.
+struct SignedScript {
+    proof: Proof,
+    header: BatchHeader,
+}
+
+const PART_SCRIPT: &[u8] = b"motor.queue_move(0, 100, 25) wait_idle()";
+
+impl SignedScript {
+    fn new(operator: &Operator, rig: &Rig, number: u64) -> Self {
+        let mut header = rig.next_header(1);
+        header.job_end += 1;
+        let script = root_of_script(PART_SCRIPT);
+        let statement = Statement {
+            node: &NodeId::new("left").expect("legal"),
+            boot: header.queue.boot,
+            job: &header.job,
+            number,
+            command_count: 2,
+            root: root_before(&[barrier(0)], script),
+        };
+        let proof = Proof {
+            after: script,
+            ..operator.proof(&statement, header.first_command)
+        };
+        Self { proof, header }
+    }
+
+    fn barrier(&self) -> Vec<u8> {
+        wrap(&self.proof, &batch_bytes(self.header, &[barrier(0)]))
+    }
+
+    /// A script as the command of this number.
+    fn script(&self, number: u64, text: &[u8]) -> Vec<u8> {
+        let header = ScriptHeader {
+            queue: self.header.queue,
+            first_command: number,
+            job: self.header.job,
+            offset_bytes: 0,
+            total_bytes: text.len() as u32,
+        };
+        let mut buffer = [0; ORDER_BYTES_MAX];
+        let bytes = version::encode(&Order::Script(header), &mut buffer).expect("room");
+        wrap(&self.proof, &[bytes, text].concat())
+    }
+}
+
+#[test]
+fn the_script_of_a_part_runs_behind_its_barrier_and_never_without_it() {
+    let alice = Operator::new(1);
+    let mut rig = secured(&[&alice]);
+    let signed = SignedScript::new(&alice, &rig, 1);
+    let verdict = |rig: &mut Rig, order: &[u8]| rig.order_bytes(order).verdict;
+    // In place of the barrier it would run at once.
+    assert_eq!(
+        verdict(&mut rig, &signed.script(0, PART_SCRIPT)),
+        NOT_SIGNED
+    );
+    let mut ends_early = SignedScript::new(&alice, &rig, 1);
+    ends_early.proof.after = END;
+    assert_eq!(verdict(&mut rig, &ends_early.barrier()), NOT_SIGNED);
+    assert_eq!(verdict(&mut rig, &signed.barrier()), Verdict::Accepted);
+    let other = signed.script(1, b"motor.queue_move(0, 100, 26) wait_idle()");
+    assert_eq!(verdict(&mut rig, &other), NOT_SIGNED);
+    let script = signed.script(1, PART_SCRIPT);
+    assert_eq!(verdict(&mut rig, &script), Verdict::Accepted);
+    rig.run_for(1_000_000);
+    assert_eq!(rig.position(), 0, "it waits for the others");
+    start(&mut rig, 0);
+    assert_eq!(rig.position(), 25);
+    // Replayed: at its place, behind it, and as a whole.
+    assert_eq!(verdict(&mut rig, &script), Verdict::Duplicate);
+    let next = rig.next_header(1).first_command;
+    assert_eq!(
+        verdict(&mut rig, &signed.script(next, PART_SCRIPT)),
+        NOT_SIGNED
+    );
+    let mut replay = SignedScript::new(&alice, &rig, 1);
+    replay.proof.signature = signed.proof.signature;
+    assert_eq!(verdict(&mut rig, &replay.barrier()), NOT_SIGNED);
+    rig.run_for(1_000_000);
     assert_eq!(rig.position(), 25);
 }
 

@@ -477,6 +477,10 @@ pub(crate) struct Serve {
     #[arg(long, value_name = "HOST:PORT", env = "FLEET_HTTP")]
     pub(crate) http: Option<std::net::SocketAddr>,
 
+    /// Stand by beside another gateway with the same store, and take over when it has gone.
+    #[arg(long)]
+    pub(crate) standby: bool,
+
     /// Look for other zenoh routers by multicast, and let yourself be found.
     #[arg(long)]
     pub(crate) scouting: bool,
@@ -632,8 +636,9 @@ pub(crate) struct Submit {
     #[arg(long, value_parser = job_id)]
     pub(crate) id: Option<JobId>,
 
-    /// Sign the job with this key, for this start of the node; for one node that is there.
-    #[arg(long, value_name = "FILE", conflicts_with = "group")]
+    /// Sign the job with this key, for this start of the node, or of each node of a group; they must be
+    /// there.
+    #[arg(long, value_name = "FILE")]
     pub(crate) sign: Option<PathBuf>,
 
     /// What the file is [default: by its extension

@@ -10,6 +10,7 @@ use gateway::{
     config::GatewayConfig,
     service::{self, Ready, Remaining, ServiceError},
     settings::{DEFAULTS, Settings},
+    standby,
 };
 
 /// `fleet serve`
@@ -52,7 +53,27 @@ pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure>
         terminated().await;
         supervisor::stopping();
     };
-    match service::run(config, ready, until, reloads).await {
+    let taken = if config.standby {
+        if !joined {
+            let words =
+                "a gateway that stands by needs a network that outlives the other: --connect";
+            return Err(Failure::Usage(words.to_owned()));
+        }
+        if json {
+            show::line(&serde_json::json!({ "standing_by": true }).to_string());
+        } else {
+            show::line("standing by: another gateway serves the fleet, or is about to");
+        }
+        let taken = tokio::select! {
+            taken = standby::stand_by(&config) => taken,
+            () = terminated() => return Ok(()),
+            () = supervisor::standing_by() => return Ok(()),
+        };
+        Some(taken.map_err(|error| Failure::Failed(Some(error.to_string())))?)
+    } else {
+        None
+    };
+    match service::run(config, taken, ready, until, reloads).await {
         Ok(remaining) => {
             farewell(remaining, json);
             Ok(())
@@ -125,6 +146,7 @@ fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
     config.users.clone_from(&serve.users);
     config.credentials = credentials(common)?;
     config.scouting |= serve.scouting;
+    config.standby |= serve.standby;
     Ok(config)
 }
 

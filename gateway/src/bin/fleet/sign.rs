@@ -2,7 +2,7 @@
 
 use crate::link::{Failure, Link, read};
 use gateway::{
-    fleet::commands_of,
+    fleet::{commands_of, parts_of},
     security::{
         home::read_secret,
         signing::{Signer, root_of, statement},
@@ -10,7 +10,8 @@ use gateway::{
 };
 use keys::{
     JobId, NodeId, NodeTopic, Status,
-    job::{JobRequest, Work},
+    job::{GroupRequest, JobRequest, Work},
+    record::JobError,
     version,
 };
 use serde_json::{Map, Value};
@@ -26,37 +27,78 @@ pub(crate) async fn sign(
     node: &str,
     payload: &[u8],
 ) -> Result<Vec<u8>, Failure> {
-    let usage = |error: String| Failure::Usage(format!("--sign: {error}"));
-    let node = NodeId::new(node)
-        .map_err(|_| usage("a job is signed for one node, not for a pattern".to_owned()))?;
-    let text = read_secret(key).map_err(|error| usage(error.to_string()))?;
-    let name = key.display();
-    let signer = Signer::parse(&text).map_err(|error| usage(format!("{name}: {error}")))?;
-    let number = next_number(key)?;
+    let node =
+        NodeId::new(node).map_err(|_| usage("a job is signed for one node, not for a pattern"))?;
+    let (signer, number) = open(key)?;
     let mut job: Map<String, Value> = read(payload)?;
-    let made = format!("signed-{number}");
-    let id = job.entry("id").or_insert(Value::from(made));
-    let id = id.as_str().and_then(|id| JobId::new(id).ok());
-    let Some(id) = id else {
-        return Err(Failure::Failed(Some(
-            "id: it is no name of a job".to_owned(),
-        )));
-    };
+    let id = name(&mut job, number)?;
     let bytes = serde_json::to_vec(&job).expect("it was read as JSON");
-    let request =
-        JobRequest::from_json(&bytes).map_err(|error| Failure::Failed(Some(error.to_string())))?;
+    let request = JobRequest::from_json(&bytes).map_err(failed)?;
     let commands = commands_of(&request);
     let script = match &request.work {
         Work::Lua(script) => Some(script.as_str()),
         Work::Commands(_) => None,
     };
-    let root =
-        root_of(&commands, script).map_err(|error| Failure::Failed(Some(error.to_string())))?;
+    let root = root_of(&commands, script).map_err(failed)?;
     let boot = boot_of(link, &node).await?;
     let signature = signer.sign(&statement(&node, &id, boot, number, root));
     let signature = serde_json::to_value(signature).expect("texts and numbers are JSON");
     job.insert("signature".to_owned(), signature);
     Ok(serde_json::to_vec(&job).expect("it was read as JSON"))
+}
+
+/// Signs each part of a synchronized job, JSON, for its node as it runs now. A job without a name gets
+/// one.
+pub(crate) async fn sign_parts(
+    link: &Link,
+    key: &Path,
+    payload: &[u8],
+) -> Result<Vec<u8>, Failure> {
+    let (signer, number) = open(key)?;
+    let mut job: Map<String, Value> = read(payload)?;
+    let id = name(&mut job, number)?;
+    let bytes = serde_json::to_vec(&job).expect("it was read as JSON");
+    let request = GroupRequest::from_json(&bytes).map_err(failed)?;
+    for (node, commands) in parts_of(&request) {
+        let script = match &request.nodes[&node] {
+            Work::Lua(script) => Some(script.as_str()),
+            Work::Commands(_) => None,
+        };
+        let root = root_of(&commands, script).map_err(failed)?;
+        let boot = boot_of(link, &node).await?;
+        let signature = signer.sign(&statement(&node, &id, boot, number, root));
+        let signature = serde_json::to_value(signature).expect("texts and numbers are JSON");
+        let parts = job.get_mut("nodes").and_then(Value::as_object_mut);
+        let part = parts.and_then(|parts| parts.get_mut(node.as_str()));
+        if let Some(part) = part.and_then(Value::as_object_mut) {
+            part.insert("signature".to_owned(), signature);
+        }
+    }
+    Ok(serde_json::to_vec(&job).expect("it was read as JSON"))
+}
+
+fn usage(error: impl std::fmt::Display) -> Failure {
+    Failure::Usage(format!("--sign: {error}"))
+}
+
+fn failed(error: JobError) -> Failure {
+    Failure::Failed(Some(error.to_string()))
+}
+
+/// Returns the key, and a number that it has not used.
+fn open(key: &Path) -> Result<(Signer, u64), Failure> {
+    let text = read_secret(key).map_err(usage)?;
+    let name = key.display();
+    let signer = Signer::parse(&text).map_err(|error| usage(format!("{name}: {error}")))?;
+    Ok((signer, next_number(key)?))
+}
+
+/// Returns the job's name, which it gets if it has none.
+fn name(job: &mut Map<String, Value>, number: u64) -> Result<JobId, Failure> {
+    let made = format!("signed-{number}");
+    let id = job.entry("id").or_insert(Value::from(made));
+    let id = id.as_str().and_then(|id| JobId::new(id).ok());
+    id.ok_or_else(|| Failure::Failed(Some("id: it is no name of a job".to_owned())))
 }
 
 /// Returns the number of the boot that the node's own status tells.

@@ -6,11 +6,12 @@ use crate::{
     kept,
     link::{Answer, Failure, Link, read},
     manage, show,
-    sign::sign,
+    sign::{sign, sign_parts},
     written::Written,
 };
 use keys::{
     JobId,
+    job::JOB_BYTES_MAX,
     record::{JobRecord, JobState, NodeRecord, Receipt},
 };
 use zenoh::bytes::Encoding;
@@ -38,6 +39,21 @@ pub(crate) async fn submit(link: &Link, submit: &Submit, json: bool) -> Result<(
     if submit.together {
         payload = manage::together(link, submit.label, &name, &payload, &encoding).await?;
         encoding = Encoding::APPLICATION_JSON;
+    }
+    if let (Some(key), None) = (&submit.sign, &submit.node) {
+        if !submit.together && submit.group.is_none() {
+            let words = "--sign: a label's jobs are made by the gateway; sign with --together, or one \
+                         for each node";
+            return Err(Failure::Usage(words.to_owned()));
+        }
+        payload = sign_parts(link, key, &payload).await?;
+    }
+    // A router drops a message that is much larger without a word to anybody.
+    if payload.len() > JOB_BYTES_MAX {
+        let count = payload.len();
+        let words =
+            format!("the job has {count} bytes; at most {JOB_BYTES_MAX} are taken: split it");
+        return Err(Failure::Failed(Some(words)));
     }
     let wishes = wishes(submit);
     let follower = match submit.wait {

@@ -37,6 +37,19 @@ pub(crate) fn ready(where_it_listens: &str, observer: &Observer) {
     });
 }
 
+/// The gateway waits until it is needed: for the service manager it runs, and is alive. Never ends.
+pub(crate) async fn standing_by() {
+    notify(&[NotifyState::Ready, NotifyState::Status("standing by")]);
+    let Some(limit) = sd_notify::watchdog_enabled() else {
+        return std::future::pending().await;
+    };
+    let mut beats = tokio::time::interval(limit / 3);
+    loop {
+        beats.tick().await;
+        notify(&[NotifyState::Watchdog]);
+    }
+}
+
 /// The gateway ends in good order.
 pub(crate) fn stopping() {
     notify(&[

@@ -1,7 +1,7 @@
 //! What is due: silences and deadlines, what must be said until it is heard, the next job, its
 //! batches, and clock probes. Owns all of a node's timers.
 
-use super::{Node, PROBES_MAX, Released, Repeat, Turn};
+use super::{Node, PROBES_MAX, Released, Repeat, Turn, Twin};
 use crate::{
     fleet::{
         FleetConfig,
@@ -23,6 +23,7 @@ impl Node {
     /// Does everything that is due and possible now.
     pub(in crate::fleet) fn poll(&mut self, turn: &mut Turn<'_>) {
         self.watch_silence(turn);
+        self.watch_twin(turn);
         self.watch_deadline(turn);
         if self.alive {
             self.say_stop(turn);
@@ -49,7 +50,10 @@ impl Node {
         let tell = self
             .stale_record
             .then(|| self.told_at.plus_us(config.node_record_us));
-        let always = [silence, deadline, tell];
+        let twin = self
+            .twin
+            .map(|twin| twin.last_at.plus_us(config.silence_us));
+        let always = [silence, deadline, tell, twin];
         let next = self.next_at;
         let here = [
             self.facts.pending_stop.and(self.stop.send_at),
@@ -75,6 +79,15 @@ impl Node {
         } else {
             // After a start of the gateway, a node that does not come back.
             self.lose_active(turn);
+        }
+    }
+
+    /// The other controller of this name has gone.
+    fn watch_twin(&mut self, turn: &Turn<'_>) {
+        let gone = |twin: &Twin| turn.now.since_us(twin.last_at) >= turn.config.silence_us;
+        if self.twin.as_ref().is_some_and(gone) {
+            self.twin = None;
+            self.stale_record = true;
         }
     }
 
@@ -176,7 +189,7 @@ impl Node {
         let mut buffer = [0; ORDER_BYTES_MAX];
         let bytes = keys::version::encode(order, &mut buffer)
             .expect("an order without commands is shorter than any with them");
-        turn.publish(&self.id, NodeTopic::Batch, bytes.to_vec(), Lane::Order);
+        turn.tell(&self.facts, &self.id, NodeTopic::Batch, bytes, Lane::Order);
     }
 
     /// Sends the next job on its way, if nothing is outstanding.
@@ -187,6 +200,9 @@ impl Node {
             && self.status.is_some()
             && self.facts.maintenance.is_none()
             && !self.facts.queue_held
+            // Nobody knows which of two machines would move, and which gateway moves this one.
+            && !self.has_twin()
+            && !self.is_disobedient()
             && self.executed >= self.accepted;
         self.next_at = None;
         if !open {
@@ -257,10 +273,11 @@ impl Node {
         };
         let key = turn.config.keys.node(&self.id, NodeTopic::Batch);
         let effects = &mut *turn.effects;
+        let (facts, epoch) = (&self.facts, turn.config.epoch);
         route.poll(&job.commands, self.limit, turn.now, |bytes| {
             effects.push(Effect::Publish {
                 key: key.as_str().to_owned(),
-                payload: bytes.to_vec(),
+                payload: facts.with_epoch(epoch, bytes),
                 json: false,
                 lane: Lane::Order,
             });
@@ -285,7 +302,13 @@ impl Node {
         let mut buffer = [0; 64];
         let bytes = keys::version::encode(&ClockMessage::Probe(probe), &mut buffer)
             .expect("a probe has at most 17 bytes");
-        turn.publish(&self.id, NodeTopic::Clock, bytes.to_vec(), Lane::RealTime);
+        turn.tell(
+            &self.facts,
+            &self.id,
+            NodeTopic::Clock,
+            bytes,
+            Lane::RealTime,
+        );
     }
 
     pub(super) fn store(&mut self, turn: &mut Turn<'_>) {

@@ -1,7 +1,7 @@
 //! What a node says: its status, its answers to orders, its clock replies, and the end of its
 //! liveliness token. Owns the decision which of it is news, and every outcome of a job.
 
-use super::{Latch, Node, REPLACED_BOOTS_MAX, Released, Repeat, SeenFault, Turn};
+use super::{Latch, Node, REPLACED_BOOTS_MAX, Released, Repeat, SeenFault, TWIN_US, Turn, Twin};
 use crate::{
     fleet::{
         clock::Stamps,
@@ -115,8 +115,11 @@ impl Node {
             // Two controllers of one name, or a boot number that came twice: whoever speaks when
             // the other one has long been silent is believed.
             if replaced && silent_us < turn.config.silence_us {
+                self.note_twin(status, turn.now);
                 return None;
             }
+            self.twin = None;
+            self.disobeys_at = None;
             self.facts
                 .replaced_boots
                 .retain(|boot| *boot != status.queue.boot);
@@ -141,6 +144,25 @@ impl Node {
             return None;
         }
         Some(Some(known))
+    }
+
+    /// A boot that was replaced speaks: late, or because it is another controller.
+    fn note_twin(&mut self, status: &Status, now: FleetMicros) {
+        let known = self.twin.filter(|twin| twin.boot == status.queue.boot);
+        let mut twin = known.unwrap_or(Twin {
+            boot: status.queue.boot,
+            first_at: now,
+            first_local: status.at,
+            last_at: now,
+            certain: false,
+        });
+        twin.last_at = now;
+        let lives = status.at.since_us(twin.first_local) >= TWIN_US / 2;
+        if !twin.certain && lives && now.since_us(twin.first_at) >= TWIN_US {
+            twin.certain = true;
+            self.stale_record = true;
+        }
+        self.twin = Some(twin);
     }
 
     fn take_numbers(&mut self, accepted: u64, executed: u64, credit: u32, now: FleetMicros) {
@@ -372,6 +394,13 @@ impl Node {
             }
             return;
         };
+        // Answers to another gateway's orders are heard here, too: that one is told of our epoch.
+        if let Refusal::Superseded { epoch } = refusal {
+            if epoch <= turn.config.epoch {
+                return;
+            }
+            self.disobeys_at.get_or_insert(turn.now);
+        }
         let Some(route) = &mut self.route else { return };
         match route.handle_refusal(refusal, ack.accepted_commands, turn.now) {
             Setback::None => {

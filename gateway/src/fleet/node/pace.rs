@@ -220,7 +220,13 @@ impl Node {
         let mut buffer = [0; 32];
         let bytes = keys::version::encode(message, &mut buffer)
             .expect("a message about the pace has at most 18 bytes");
-        turn.publish(&self.id, NodeTopic::Pace, bytes.to_vec(), Lane::RealTime);
+        turn.tell(
+            &self.facts,
+            &self.id,
+            NodeTopic::Pace,
+            bytes,
+            Lane::RealTime,
+        );
     }
 
     /// Returns when [`Node::say_pace`] is due.

@@ -9,6 +9,7 @@ use keys::{
         ClockRecord, FaultRecord, LinkRecord, NodeRecord, NodeWord, QueueRecord, StoppedRecord,
         to_json,
     },
+    status::FaultCode,
 };
 
 /// Time between two records of a node of which only clock and uptime change, µs.
@@ -77,16 +78,24 @@ impl Node {
             uptime_s: status.map_or(0, |status| status.at.0 / 1_000_000),
             rssi_dbm: status.and_then(|status| status.rssi_dbm),
             pace: self.pace_record(),
-            faults: self
-                .faults
-                .iter()
-                .map(|seen| FaultRecord {
-                    code: seen.fault.code.0,
-                    message: seen.fault.code.as_str().to_owned(),
-                    at: seen.at,
-                })
-                .collect(),
+            faults: self.fault_records(),
         }
+    }
+
+    /// Its own faults, and what this gateway sees of it.
+    fn fault_records(&self) -> Vec<FaultRecord> {
+        let own = self.faults.iter().map(|seen| (seen.fault.code, seen.at));
+        let twin = self.twin.filter(|twin| twin.certain);
+        let twin = twin.map(|twin| (FaultCode::TWIN, twin.first_at));
+        let other = self.disobeys_at.map(|at| (FaultCode::OTHER_GATEWAY, at));
+        own.chain(twin)
+            .chain(other)
+            .map(|(code, at)| FaultRecord {
+                code: code.0,
+                message: code.as_str().to_owned(),
+                at,
+            })
+            .collect()
     }
 
     /// A node's clock counts from its boot and ours from 1970, so their plain difference says

@@ -18,7 +18,10 @@
 //! Whoever waits at a barrier says so again and again, so a gateway that starts anew learns the names
 //! anew. Only a plan needs them in the store: a node that is past its barrier does not say its name.
 
-use super::{FleetMicros, Meeting, Phase, Seat, Stage, Start, Step, not_ready};
+use super::{
+    FleetMicros, Start, Step,
+    meeting::{Meeting, Phase, Seat, Stage, not_ready},
+};
 use keys::{NodeId, record::JobError, start::StartMessage};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};

@@ -6,7 +6,7 @@ use crate::{
     pins::PinEvent,
     record::{Driven, Held, InputEdge, Life, TakenCommand},
 };
-use keys::{AxisId, BatchReader, LocalMicros, Order, StopReport, signed::Proof};
+use keys::{AxisId, BatchReader, LocalMicros, Order, StopReport, epoch, signed::Proof};
 use motion::{TICKS_PER_US, io::input::PinLevel};
 use std::mem;
 
@@ -69,8 +69,10 @@ impl EmulatedNode {
         if self.recorded.cut || self.node.motion().accepted_commands() == accepted_before {
             return;
         }
-        // What signs it is not for the judge of pulses.
-        let Ok(mut reader) = Proof::split(payload).and_then(|(_, order)| BatchReader::new(order))
+        // Who says it and who signs it is not for the judge of pulses.
+        let Ok(mut reader) = epoch::split(payload)
+            .and_then(|(_, order)| Proof::split(order))
+            .and_then(|(_, order)| BatchReader::new(order))
         else {
             return;
         };

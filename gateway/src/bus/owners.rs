@@ -1,0 +1,56 @@
+//! The tokens of owners on the network: who declares one, and who watches them. See
+//! [`crate::fleet::owner`].
+
+use super::zenoh::{BusError, zenoh_error};
+use keys::Keys;
+use std::collections::BTreeSet;
+use tokio::sync::watch;
+use zenoh::{
+    Session,
+    liveliness::LivelinessToken,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+/// The epochs of the owners that are there.
+pub type Owners = BTreeSet<u32>;
+
+fn key_of(keys: &Keys, epoch: &str) -> String {
+    format!("{}/gateway/{epoch}", keys.prefix())
+}
+
+/// Tells the network that this gateway is the owner, until the token is dropped.
+pub(super) async fn declare(
+    session: &Session,
+    keys: &Keys,
+    epoch: u32,
+) -> Result<LivelinessToken, BusError> {
+    let key = key_of(keys, &epoch.to_string());
+    let token = session.liveliness().declare_token(key).await;
+    token.map_err(zenoh_error)
+}
+
+/// Keeps `owners` as the network knows them, until the subscriber is dropped.
+pub(super) async fn watch(
+    session: &Session,
+    keys: &Keys,
+    owners: watch::Sender<Owners>,
+) -> Result<Subscriber<()>, BusError> {
+    let note = move |sample: Sample| {
+        let chunk = sample.key_expr().as_str().rsplit('/').next();
+        let Some(epoch) = chunk.and_then(|chunk| chunk.parse().ok()) else {
+            return;
+        };
+        owners.send_if_modified(|owners| match sample.kind() {
+            SampleKind::Put => owners.insert(epoch),
+            SampleKind::Delete => owners.remove(&epoch),
+        });
+    };
+    session
+        .liveliness()
+        .declare_subscriber(key_of(keys, "*"))
+        .history(true)
+        .callback(note)
+        .await
+        .map_err(zenoh_error)
+}
