@@ -205,10 +205,9 @@ async fn main(spawner: Spawner) -> ! {
     let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
     let record = keep!(Record, dialogue.record().clone());
     let boot = random_u64() as u32;
-    let config = record.is_complete().then(|| node_config(record, boot));
-    let pins = config
-        .as_ref()
-        .and_then(|config| input_pins(&config.motion));
+    let complete = record.is_complete();
+    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
+    let pins = pins.flatten();
     // A machine that cannot be is like one that nobody has told: nothing moves.
     let provisioned = pins.is_some();
     let mut keeper = Keeper::boot(
@@ -229,13 +228,15 @@ async fn main(spawner: Spawner) -> ! {
     }
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
     let port = UsbSerialJtag::new(parts.USB_DEVICE).into_async();
-    let (Some(mut config), Some(input_pins)) = (config, pins) else {
+    let Some(input_pins) = pins else {
         serial::run(port, dialogue, true).await;
     };
 
     let shelf = scripts::Shelf::open(flash);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
+    // Made again: it is large, and what lives across a wait lies in internal RAM for ever.
+    let mut config = node_config(record, boot);
     let has_cd = record.machine.has_cd;
     let outputs = BoardOutputs::new(
         #[cfg(feature = "timers")]
