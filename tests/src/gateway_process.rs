@@ -65,6 +65,7 @@ impl GatewayProcess {
                 Table::Requests => &mut stored.requests,
                 Table::Jobs => &mut stored.jobs,
                 Table::Nodes => &mut stored.nodes,
+                Table::Kept => &mut stored.kept,
             };
             rows.push((key.clone(), value.clone()));
         }

@@ -53,14 +53,20 @@ fn rows(mut data: &[u8]) {
         let (value, rest) = rest.split_at(length.min(rest.len()));
         data = rest;
         let row = (String::from_utf8_lossy(key).into_owned(), value.to_vec());
-        match table % 3 {
+        match table % 4 {
             0 => stored.requests.push(row),
             1 => stored.jobs.push(row),
-            _ => stored.nodes.push(row),
+            2 => stored.nodes.push(row),
+            _ => stored.kept.push(row),
         }
     }
     // A table has each key once, in order.
-    for rows in [&mut stored.requests, &mut stored.jobs, &mut stored.nodes] {
+    for rows in [
+        &mut stored.requests,
+        &mut stored.jobs,
+        &mut stored.nodes,
+        &mut stored.kept,
+    ] {
         rows.sort();
         rows.dedup_by(|a, b| a.0 == b.0);
     }
@@ -139,6 +145,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
             Table::Requests => 0,
             Table::Jobs => 1,
             Table::Nodes => 2,
+            Table::Kept => 3,
         });
         rows.push(key.len() as u8);
         rows.extend((value.len() as u16).to_le_bytes());
