@@ -132,7 +132,7 @@ impl Schedule {
         let every_us = self.every_s * 1_000_000;
         let late = (now.0 >= self.next_us).then(|| (now.0 - self.next_us) / every_us + 1);
         let skipped = late.unwrap_or(0);
-        self.missed += skipped;
+        self.missed = self.missed.saturating_add(skipped);
         self.next_us += skipped * every_us;
         skipped > 0
     }
@@ -388,9 +388,9 @@ impl Fleet {
             let schedule = self.kept.schedules.get_mut(&name).expect("it is due");
             schedule.next_us += schedule.every_s * 1_000_000;
             if busy {
-                schedule.missed += 1;
+                schedule.missed = schedule.missed.saturating_add(1);
             } else {
-                schedule.done += 1;
+                schedule.done = schedule.done.saturating_add(1);
                 schedule.last = Some(stem.clone());
             }
             // What is left over after a pause of the machine itself.
@@ -443,8 +443,8 @@ impl Fleet {
             "schedule" => {
                 let mut schedule: Schedule =
                     serde_json::from_slice(value).map_err(|error| error.to_string())?;
-                if schedule.every_s < EVERY_S_MIN {
-                    return Err("its times are too near to each other".to_owned());
+                if !(EVERY_S_MIN..=EVERY_S_MAX).contains(&schedule.every_s) {
+                    return Err("its times are too near to each other, or too far apart".to_owned());
                 }
                 if schedule.skip_to(self.now) {
                     effects.push(put(Kind::Schedule, &name, &schedule));
