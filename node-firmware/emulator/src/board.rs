@@ -230,13 +230,12 @@ fn config_of(
         keys: Keys::new(&record.prefix).unwrap_or_default(),
         flash: Some(flash.clone()),
         update_key: record.update_key,
+        // Empty: scouting.
+        connect: record.router.as_str().to_owned(),
         boot_script: record.boot_script,
         signers: record.signers.iter().copied().collect(),
         ..base.clone()
     };
-    if !record.router.is_empty() {
-        config.connect = record.router.as_str().to_owned();
-    }
     config.credentials = record.login.as_ref().map(|login| Credentials {
         user: login.user.as_str().to_owned(),
         password: login.password.as_str().to_owned(),

@@ -6,6 +6,7 @@ use crate::{
     pins::{CARRIAGE_C, CARRIAGE_D},
     pulse::RmtConfig,
     record::{BesideFacts, HomeFacts, LimitFacts},
+    scout::ScoutConfig,
 };
 use keys::{AxisId, Keys, NodeId};
 use motion::{
@@ -75,8 +76,11 @@ pub struct EmulatorConfig {
     /// Public keys of operators: the node executes only what one of them has signed. None by
     /// default: whatever its gateway sends.
     pub signers: node::signed::Keys,
-    /// Router to connect to, `tcp/HOST:PORT`; on this machine by default. Wall clock only.
+    /// Router to connect to, `tcp/HOST:PORT`; on this machine by default; empty: what scouting finds.
+    /// Wall clock only.
     pub connect: String,
+    /// How scouting is done. Wall clock only.
+    pub scout: ScoutConfig,
     /// What the node's clock shows when it boots, µs; 0 by default. Wall clock only.
     pub clock_offset_us: u64,
     /// By how much it is too fast, billionths; 0 by default. Wall clock only.
@@ -109,6 +113,7 @@ impl EmulatorConfig {
             scripts: None,
             signers: node::signed::Keys::new(),
             connect: "tcp/127.0.0.1:7447".to_owned(),
+            scout: ScoutConfig::default(),
             clock_offset_us: 0,
             clock_drift_ppb: 0,
             credentials: None,

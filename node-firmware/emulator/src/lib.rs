@@ -25,6 +25,7 @@ pub mod oracle;
 pub mod pins;
 pub mod pulse;
 pub mod record;
+pub mod scout;
 pub mod store;
 pub mod vcd;
 pub mod verdict;

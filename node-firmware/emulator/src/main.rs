@@ -6,7 +6,8 @@ use clap::{Parser, ValueEnum};
 use emulator::board::EmulatedBoard;
 use emulator::{
     Credentials, EmulatedHandle, EmulatorConfig, Recording, capture::Capture,
-    config::RECORDED_EDGES_MAX, flash::Flash, oracle, record::Life, verdict, wiring::Wiring,
+    config::RECORDED_EDGES_MAX, flash::Flash, oracle, record::Life, scout::ScoutConfig, verdict,
+    wiring::Wiring,
 };
 use keys::{
     Keys, NodeId,
@@ -17,6 +18,7 @@ use node::LinkLoss;
 use std::{
     fs::File,
     io::BufWriter,
+    net::Ipv4Addr,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -28,6 +30,7 @@ use std::{
 #[command(after_help = "Examples:\n  \
     emulator --name left                      one node for the gateway on this machine\n  \
     emulator --nodes 8                        node-1 to node-8\n  \
+    emulator --name left --scout              asks the network where the router is\n  \
     emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
     emulator --home 0:min@-300 --limit 0:max@5000   axis 0 can be homed, and has a limit\n  \
     emulator --scripts scripts --boot-script  stored scripts in files; the one named boot runs at the start\n  \
@@ -51,6 +54,12 @@ struct Args {
         default_value = "tcp/127.0.0.1:7447"
     )]
     connect: String,
+
+    /// Find the router by scouting (UDP multicast), as a board does that was told none; with an address
+    /// of this machine in that network.
+    #[arg(long, value_name = "FROM", num_args = 0..=1, require_equals = true,
+        default_missing_value = "0.0.0.0", conflicts_with = "connect")]
+    scout: Option<Ipv4Addr>,
 
     /// Prefix of all keys of the fleet.
     #[arg(long, default_value = keys::key::PREFIX_DEFAULT)]
@@ -209,7 +218,14 @@ impl Args {
                     link_loss,
                     seed: self.seed.wrapping_add(u64::from(number)),
                     record,
-                    connect: self.connect.clone(),
+                    connect: match self.scout {
+                        Some(_) => String::new(),
+                        None => self.connect.clone(),
+                    },
+                    scout: ScoutConfig {
+                        from: self.scout.unwrap_or(Ipv4Addr::UNSPECIFIED),
+                        ..ScoutConfig::default()
+                    },
                     clock_offset_us: self.clock_offset_us,
                     clock_drift_ppb: (self.clock_drift_ppm * 1_000.0) as i64,
                     credentials: credentials.clone(),

@@ -9,6 +9,7 @@ use crate::{
     config::EmulatorConfig,
     emulated::{EmulatedNode, splitmix},
     record::Life,
+    scout::{ScoutConfig, find_router},
     store::{FolderStore, MemoryStore},
 };
 use embedded_io_adapters::tokio_1::FromTokio;
@@ -132,7 +133,9 @@ impl Timer for NodeTimer {
 }
 
 struct Tcp {
+    /// Empty: whatever scouting finds.
     address: String,
+    scout: ScoutConfig,
 }
 
 impl Connect for Tcp {
@@ -140,9 +143,13 @@ impl Connect for Tcp {
     type Writer = FromTokio<OwnedWriteHalf>;
 
     async fn connect(&mut self) -> Result<(Self::Reader, Self::Writer), ConnectError> {
-        let stream = TcpStream::connect(&self.address)
-            .await
-            .map_err(|_| ConnectError)?;
+        let connected = if self.address.is_empty() {
+            let found = find_router(self.scout).await.map_err(|_| ConnectError)?;
+            TcpStream::connect(found).await
+        } else {
+            TcpStream::connect(&self.address).await
+        };
+        let stream = connected.map_err(|_| ConnectError)?;
         // Stops and clock replies must not wait for more to send.
         stream.set_nodelay(true).map_err(|_| ConnectError)?;
         let (reader, writer) = stream.into_split();
@@ -194,6 +201,7 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
         .connect
         .strip_prefix("tcp/")
         .filter(|address| address.rsplit_once(':').is_some_and(is_port))
+        .or(config.connect.is_empty().then_some(""))
         .ok_or_else(|| SpawnError::Locator(config.connect.clone()))?
         .to_owned();
     config.check().map_err(SpawnError::Motion)?;
@@ -250,7 +258,7 @@ async fn live(shared: Arc<Shared>, address: String) {
 }
 
 async fn boot(shared: Arc<Shared>, address: String) {
-    let (keys, name, credentials, boot) = {
+    let (keys, name, credentials, scout, boot) = {
         let node = shared.node();
         let config = node.config();
         let boot = node.node().queue().boot;
@@ -258,6 +266,7 @@ async fn boot(shared: Arc<Shared>, address: String) {
             config.keys.clone(),
             config.name,
             config.credentials.clone(),
+            config.scout,
             boot,
         )
     };
@@ -277,11 +286,12 @@ async fn boot(shared: Arc<Shared>, address: String) {
         boot,
     };
     let timer = NodeTimer(shared);
-    driver::run(&mut session, &mut Tcp { address }, &timer, &mut app).await;
+    let mut tcp = Tcp { address, scout };
+    driver::run(&mut session, &mut tcp, &timer, &mut app).await;
 }
 
 /// Where boot numbers and session ids come from: the operating system, by way of the hasher.
-fn random() -> u64 {
+pub(crate) fn random() -> u64 {
     splitmix(RandomState::new().hash_one(()))
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Nothing here sleeps to synchronize: every wait is for a message.
 
-use emulator::{EmulatedHandle, EmulatorConfig, Recording, oracle, spawn};
+use emulator::{EmulatedHandle, EmulatorConfig, Recording, oracle, scout::ScoutConfig, spawn};
 use keys::{
     AxisId, BatchAck, BatchHeader, Command, JobId, Keys, NodeId, NodeState, NodeTopic, Order,
     QueueId, Status, Verdict,
@@ -11,7 +11,7 @@ use keys::{
     version,
 };
 use std::{
-    net::{Ipv4Addr, TcpListener},
+    net::{Ipv4Addr, SocketAddrV4, TcpListener, UdpSocket},
     time::Duration,
 };
 use zenoh::{
@@ -30,6 +30,11 @@ const PORT_ATTEMPTS_MAX: usize = 16;
 
 /// Opens a router on a port that was free a moment ago; taken meanwhile, on another one.
 async fn router() -> (Session, String) {
+    router_with(&[("scouting/multicast/enabled", "false".to_owned())]).await
+}
+
+/// The same with more settings.
+async fn router_with(more: &[(&str, String)]) -> (Session, String) {
     let mut attempts = 0;
     loop {
         attempts += 1;
@@ -42,7 +47,6 @@ async fn router() -> (Session, String) {
         for (key, value) in [
             ("mode", "\"router\"".to_owned()),
             ("listen/endpoints", format!("[\"{locator}\"]")),
-            ("scouting/multicast/enabled", "false".to_owned()),
             // A busy machine is not to be taken for a dead peer.
             (
                 "transport/unicast/accept_timeout",
@@ -57,6 +61,9 @@ async fn router() -> (Session, String) {
             ),
         ] {
             config.insert_json5(key, &value).expect("a known setting");
+        }
+        for (key, value) in more {
+            config.insert_json5(key, value).expect("a known setting");
         }
         match zenoh::open(config).await {
             Ok(session) => return (session, locator),
@@ -274,6 +281,38 @@ async fn a_clock_probe_is_answered_in_the_nodes_own_time() {
     assert_eq!((reply.probe, reply.sent_at.0), (5, 77));
     assert!(reply.received_at.0 >= 3_600_000_000);
     assert!(reply.replied_at >= reply.received_at);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_was_told_no_router_finds_it_by_scouting() {
+    // A group of this test's own, in the loopback network.
+    let port = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))
+        .and_then(|socket| socket.local_addr())
+        .expect("a free port")
+        .port();
+    let group = SocketAddrV4::new(Ipv4Addr::new(224, 0, 0, 224), port);
+    let mut config = EmulatorConfig::new(NodeId::new("left").expect("legal"));
+    config.connect = String::new();
+    config.scout = ScoutConfig {
+        from: Ipv4Addr::LOCALHOST,
+        group,
+    };
+    // It asks before there is anybody, and again.
+    let node = spawn(config).expect("spawned");
+    let (router, _) = router_with(&[
+        ("scouting/multicast/enabled", "true".to_owned()),
+        ("scouting/multicast/address", format!("\"{group}\"")),
+        ("scouting/multicast/interface", "\"127.0.0.1\"".to_owned()),
+    ])
+    .await;
+    let statuses = router
+        .declare_subscriber("fleet/node/left/status")
+        .with(zenoh::handlers::FifoChannel::new(1_000))
+        .await
+        .expect("subscribed");
+    next(&statuses).await;
+    let _ = node.shutdown().await;
+    router.close().await.expect("closed");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

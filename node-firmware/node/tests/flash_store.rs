@@ -262,7 +262,7 @@ fn campaign(seed: u64) {
             "seed {seed}, round {round}"
         );
         flash = store.into_flash();
-        if random.next() % 2 == 0 {
+        if random.next().is_multiple_of(2) {
             flash.power = (random.next() % 30_000) as usize;
         }
         let mut store = FlashStore::open(flash).expect("a region");
@@ -271,7 +271,7 @@ fn campaign(seed: u64) {
         for _ in 0..random.next() % 6 {
             let name = format!("s{}", random.next() % 5);
             let mut after = either[1].clone();
-            let result = if random.next() % 3 == 0 {
+            let result = if random.next().is_multiple_of(3) {
                 after.remove(&name);
                 store.remove(&name)
             } else {

@@ -286,7 +286,7 @@ fn what_a_script_prints_is_limited_to_a_rate_and_says_what_is_missing() {
         "for i = 1, 1000 do print('line', i) sleep(1) end return 'done'",
     );
     rig.run_for(20_000_000);
-    assert_eq!(last(&mut rig), (ScriptOutcome::Returned, "\"done\"".into()));
+    assert_eq!(last(&rig), (ScriptOutcome::Returned, "\"done\"".into()));
     let lines: Vec<_> = rig
         .sent
         .iter()

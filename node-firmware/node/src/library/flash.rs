@@ -153,7 +153,7 @@ impl<F: NorFlash> FlashStore<F> {
             }
         }
         // The newest first, so that what comes later is older.
-        found.sort_by(|(_, a), (_, b)| b.sequence.cmp(&a.sequence));
+        found.sort_by_key(|(_, header)| core::cmp::Reverse(header.sequence));
         if let Some((unit, newest)) = found.first() {
             self.next_sequence = newest.sequence.wrapping_add(1);
             self.next_unit = (unit + 1) % self.units.len();
