@@ -45,7 +45,7 @@ fn verbs() -> Vec<&'static str> {
         "provision",
     ];
     if cfg!(feature = "demo") {
-        verbs.push("demo");
+        verbs.extend(["demo", "bench"]);
     }
     verbs
 }

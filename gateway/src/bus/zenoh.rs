@@ -23,7 +23,9 @@ use super::{
     ear::{Door, Ear, Gets, refuse},
 };
 use crate::{
-    config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
+    config::{
+        CLIENTS_MAX, GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US,
+    },
     fleet::event::{Lane, ReplyTo},
     journal::copy::Copier,
     security::{Home, HomeError},
@@ -493,6 +495,10 @@ async fn open_router(
             (
                 "transport/link/rx/max_message_size",
                 MESSAGE_BYTES_MAX.to_string(),
+            ),
+            (
+                "transport/unicast/max_sessions",
+                (config.fleet.nodes_max + CLIENTS_MAX).to_string(),
             ),
         ];
         if let Some(users) = &config.users {
