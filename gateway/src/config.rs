@@ -23,6 +23,10 @@ pub const GATEWAY_USER_DEFAULT: &str = "gateway";
 /// run on takes a 64 KiB batch within a second.
 pub const STALLED_PEER_US: u64 = 1_000_000;
 
+/// Links of others than nodes to the gateway's own router. Zenoh's default is 1,000 links for all, which
+/// a thousand nodes would use up alone.
+pub const CLIENTS_MAX: usize = 1_024;
+
 /// Largest message that the router puts together from fragments, bytes: a job and its envelope.
 /// Zenoh's default is 1 GiB, for every link.
 pub const MESSAGE_BYTES_MAX: usize = keys::job::JOB_BYTES_MAX + (1 << 20);

@@ -46,7 +46,7 @@ fn verbs() -> Vec<&'static str> {
         "script",
     ];
     if cfg!(feature = "demo") {
-        verbs.push("demo");
+        verbs.extend(["demo", "bench"]);
     }
     verbs
 }

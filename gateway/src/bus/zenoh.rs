@@ -24,7 +24,9 @@ use super::{
     owners::{self, Owners},
 };
 use crate::{
-    config::{GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US},
+    config::{
+        CLIENTS_MAX, GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US,
+    },
     fleet::{
         event::{Lane, ReplyTo},
         kept::Kind,
@@ -547,6 +549,10 @@ async fn open_router(
             (
                 "transport/link/rx/max_message_size",
                 MESSAGE_BYTES_MAX.to_string(),
+            ),
+            (
+                "transport/unicast/max_sessions",
+                (config.fleet.nodes_max + CLIENTS_MAX).to_string(),
             ),
         ];
         if let Some(users) = &config.users {

@@ -4,7 +4,7 @@
 //! as refused: messages under an unknown number are dropped, a token beyond the bound is not
 //! reported, and when subscribers overflow every publisher counts as wanted.
 
-use alloc::{collections::BTreeMap, string::String, vec::Vec};
+use alloc::{string::String, vec::Vec};
 
 use zenoh_keyexpr::{OwnedKeyExpr, keyexpr};
 use zenoh_protocol::{
@@ -28,7 +28,8 @@ pub(crate) struct PeerToken {
 
 #[derive(Debug, Default)]
 pub(crate) struct Peer {
-    keys: BTreeMap<ExprId, String>,
+    /// Few enough to be looked through; a tree takes more code than it saves time.
+    keys: Vec<(ExprId, String)>,
     subscribers: Vec<(u32, OwnedKeyExpr)>,
     subscribers_overflowed: bool,
     tokens: Vec<PeerToken>,
@@ -44,15 +45,25 @@ impl Peer {
     }
 
     pub(crate) fn declare_key(&mut self, expr: ExprId, key: String) -> Result<(), Refused> {
-        if self.keys.len() >= limits::PEER_KEYS_MAX && !self.keys.contains_key(&expr) {
+        if let Some((_, known)) = self.keys.iter_mut().find(|(known, _)| *known == expr) {
+            *known = key;
+            return Ok(());
+        }
+        if self.keys.len() >= limits::PEER_KEYS_MAX {
             return Err(Refused);
         }
-        self.keys.insert(expr, key);
+        self.keys.push((expr, key));
         Ok(())
     }
 
     pub(crate) fn undeclare_key(&mut self, expr: ExprId) -> bool {
-        self.keys.remove(&expr).is_some()
+        let place = self.keys.iter().position(|(known, _)| *known == expr);
+        place.map(|place| self.keys.swap_remove(place)).is_some()
+    }
+
+    fn key(&self, expr: ExprId) -> Option<&str> {
+        let found = self.keys.iter().find(|(known, _)| *known == expr);
+        found.map(|(_, key)| key.as_str())
     }
 
     /// The key that an expression of the peer means.
@@ -61,7 +72,7 @@ impl Peer {
             return Some(expr.suffix.into_owned());
         }
         let base = match expr.mapping {
-            Mapping::Sender => self.keys.get(&expr.scope)?,
+            Mapping::Sender => self.key(expr.scope)?,
             Mapping::Receiver => own.key(expr.scope)?,
         };
         Some(joined(base, &expr.suffix))
@@ -77,7 +88,7 @@ impl Peer {
     ) -> Option<Key> {
         let base = match mapping {
             _ if scope == 0 => "",
-            Mapping::Sender => self.keys.get(&scope)?,
+            Mapping::Sender => self.key(scope)?,
             Mapping::Receiver => own.key(scope)?,
         };
         Some(Key::joined(base, suffix))

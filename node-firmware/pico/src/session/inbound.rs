@@ -17,7 +17,7 @@ use zenoh_protocol::{
         request::ext::QueryTarget as WireTarget,
     },
     transport::{
-        Close, FragmentHeader, FrameHeader, InitAck, OpenAck, TransportBody, TransportMessage, id,
+        Close, FragmentHeader, FrameHeader, InitAck, KeepAlive, Oam, OpenAck, id, init, open,
     },
     zenoh::{RequestBody, ResponseBody},
 };
@@ -100,9 +100,7 @@ impl Session {
                 }
             }
             _ => {
-                let message: TransportMessage =
-                    codec.read(&mut *rest).map_err(|_| SessionError::Decode)?;
-                self.receive_transport(message)?;
+                self.receive_transport(rest, header)?;
             }
         }
         Ok(())
@@ -137,11 +135,18 @@ impl Session {
         }
     }
 
-    fn receive_transport(&mut self, message: TransportMessage) -> Result<(), SessionError> {
-        match message.body {
-            TransportBody::InitAck(ack) => self.receive_init_ack(&ack),
-            TransportBody::OpenAck(ack) => self.receive_open_ack(&ack),
-            TransportBody::Close(Close { reason, .. }) => {
+    /// Decodes what is said outside of frames. Each message by its own codec: the one that takes
+    /// them all is as large as all of them.
+    fn receive_transport(&mut self, rest: &mut ZSlice, header: u8) -> Result<(), SessionError> {
+        match imsg::mid(header) {
+            id::INIT if imsg::has_flag(header, init::flag::A) => {
+                self.receive_init_ack(&read_transport(rest)?)
+            }
+            id::OPEN if imsg::has_flag(header, open::flag::A) => {
+                self.receive_open_ack(&read_transport(rest)?)
+            }
+            id::CLOSE => {
+                let Close { reason, .. } = read_transport(rest)?;
                 let reason = PeerReason::from(reason);
                 self.end(match self.link {
                     Link::Open { .. } => CloseReason::Peer(reason),
@@ -150,12 +155,11 @@ impl Session {
                 Ok(())
             }
             // Every byte is a sign of life; this one says nothing more.
-            TransportBody::KeepAlive(_) | TransportBody::OAM(_) => Ok(()),
-            TransportBody::InitSyn(_)
-            | TransportBody::OpenSyn(_)
-            | TransportBody::Join(_)
-            | TransportBody::Frame(_)
-            | TransportBody::Fragment(_) => Err(SessionError::Handshake),
+            id::KEEP_ALIVE => read_transport::<KeepAlive>(rest).map(|_| ()),
+            id::OAM => read_transport::<Oam>(rest).map(|_| ()),
+            // What only the other side of a handshake, or a group, is told.
+            id::INIT | id::OPEN | id::JOIN => Err(SessionError::Handshake),
+            _ => Err(SessionError::Decode),
         }
     }
 
@@ -518,6 +522,13 @@ impl Session {
 /// Messages of frames have the upper numbers, those of the transport the lower.
 fn is_network(message_id: u8) -> bool {
     message_id >= zenoh_protocol::network::id::INTEREST
+}
+
+fn read_transport<M>(rest: &mut ZSlice) -> Result<M, SessionError>
+where
+    for<'r> Zenoh080: RCodec<M, &'r mut ZSlice>,
+{
+    Zenoh080::new().read(rest).map_err(|_| SessionError::Decode)
 }
 
 fn read_message(

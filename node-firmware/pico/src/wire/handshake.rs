@@ -17,15 +17,12 @@ use core::time::Duration;
 
 use hmac::{Hmac, Mac};
 use sha3::Sha3_256;
-use zenoh_buffers::{ZBuf, ZSlice, reader::HasReader};
+use zenoh_buffers::{ZBuf, ZSlice, reader::HasReader, writer::DidntWrite};
 use zenoh_codec::{RCodec, WCodec, Zenoh080};
 use zenoh_protocol::{
     common::{ZExtBody, ZExtUnknown, iext},
     core::{Bits, Field, Resolution, WhatAmI, ZenohIdProto},
-    transport::{
-        Close, InitAck, InitSyn, KeepAlive, OpenAck, OpenSyn, TransportMessage, TransportSn, init,
-        open,
-    },
+    transport::{Close, InitAck, InitSyn, KeepAlive, OpenAck, OpenSyn, TransportSn, init, open},
 };
 
 use crate::{event::SessionError, limits::BATCH_BYTES_MIN};
@@ -75,11 +72,16 @@ pub(crate) struct Grant {
 }
 
 /// Appends a transport message as a batch of its own.
-pub(crate) fn write_batch(out: &mut Vec<u8>, message: impl Into<TransportMessage>) {
+///
+/// Each message by its own codec: the one that takes them all is as large as all of them.
+pub(crate) fn write_batch<M>(out: &mut Vec<u8>, message: M)
+where
+    for<'m, 'o> Zenoh080: WCodec<&'m M, &'o mut Vec<u8>, Output = Result<(), DidntWrite>>,
+{
     let prefix = out.len();
     out.extend_from_slice(&[0, 0]);
     Zenoh080::new()
-        .write(&mut *out, &message.into())
+        .write(&mut *out, &message)
         .expect("handshake lengths are far below their fields");
     let batch_bytes = out.len() - prefix - 2;
     let length = u16::try_from(batch_bytes).expect("handshake messages are short");
