@@ -137,6 +137,41 @@ function motor.get_speed(axis) end
 ---@return integer
 function motor.get_queue_depth() end
 
+---Drives an axis to a position outside the queue, or changes where and how fast it is driven, in
+---flight. Waits until what was queued before has ended; what is queued behind waits until nothing is
+---driven. Several axes can be driven at a time, each by itself.
+---@param axis integer
+---@param position integer
+---@param speed_hz integer
+---@param accel integer
+---@param options? RampOptions
+function motor.drive_to(axis, position, speed_hz, accel, options) end
+
+---The same relative to where the axis is going; 0 changes its speed only.
+---@param axis integer
+---@param steps integer
+---@param speed_hz integer
+---@param accel integer
+---@param options? RampOptions
+function motor.drive_by(axis, steps, speed_hz, accel, options) end
+
+---The same on and on, until another drive, `motor.end_drive`, or the end of the script.
+---@param axis integer
+---@param direction 1|-1
+---@param speed_hz integer
+---@param accel integer
+---@param options? RampOptions
+function motor.run(axis, direction, speed_hz, accel, options) end
+
+---Brings a driven axis to rest by its ramp; without an axis all of them.
+---@param axis? integer
+function motor.end_drive(axis) end
+
+---Whether an axis is driven.
+---@param axis integer
+---@return boolean
+function motor.is_driven(axis) end
+
 ---Comes to rest on the path, to go on later.
 function motor.hold() end
 

@@ -259,6 +259,53 @@ async fn orders_become_pulses_and_a_wild_stop_ends_them() {
     }
 }
 
+/// What a plain zenoh client gets: the JSON of the answer, or of the refusal; `None`: nobody answered.
+async fn ask(
+    router: &Session,
+    key: &str,
+    request: &str,
+) -> Option<Result<serde_json::Value, serde_json::Value>> {
+    let get = router.get(key).payload(request).timeout(PATIENCE);
+    let replies = get.await.expect("asked");
+    let reply = replies.recv_async().await.ok()?;
+    let json = |bytes: &[u8]| serde_json::from_slice(bytes).expect("JSON");
+    Some(match reply.result() {
+        Ok(sample) => Ok(json(&sample.payload().to_bytes())),
+        Err(error) => Err(json(&error.payload().to_bytes())),
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_jog_is_answered_by_the_node_itself_and_rests_when_nobody_renews_it() {
+    let bench = Bench::new("left", |_| {}).await;
+    bench.status_where(|_| true).await;
+    let key = bench.keys.node(&bench.name, NodeTopic::Jog);
+    let run = r#"{"axis":1,"run":"backward","speed_hz":2000,"accel":20000,"lease_ms":200}"#;
+    // One button moves one machine.
+    let wild = bench.keys.every_node(NodeTopic::Jog);
+    assert_eq!(ask(&bench.router, wild.as_str(), run).await, None);
+    let refused = ask(&bench.router, key.as_str(), r#"{"axis":1,"run":"up"}"#).await;
+    let refused = refused.expect("an answer").expect_err("a refusal");
+    assert_eq!(refused["error"]["code"], "bad_json");
+    let answer = ask(&bench.router, key.as_str(), run).await;
+    let answer = answer.expect("an answer").expect("it is taken");
+    assert_eq!(answer["node"], "left");
+    assert_eq!(answer["lease_ms"], 200);
+    bench
+        .status_where(|status| status.axes[1].position_steps < 0)
+        .await;
+    // Nobody renews it.
+    let rests = bench
+        .status_where(|status| status.state == NodeState::Idle)
+        .await;
+    let lives = bench.node.shutdown().await;
+    assert_eq!(lives[0].counted_steps[1], rests.axes[1].position_steps);
+    assert_eq!(lives[0].drives.len(), 1);
+    if let Err(violations) = oracle::check_life(&lives[0]) {
+        panic!("{violations:?}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_clock_probe_is_answered_in_the_nodes_own_time() {
     let bench = Bench::new("left", |config| config.clock_offset_us = 3_600_000_000).await;

@@ -8,9 +8,9 @@
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
-//! | `init(cpu_core)` | [`Motion::new`] | no task of its own: whoever owns it calls [`Motion::poll`] at [`Motion::poll_timeout`]; a late call delays events, never pulses |
-//! | `stepperConnectToPin(pin, driver)` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
-//! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `i2sMuxSetBit` |
+//! | `init(cpu_core)`, `manageSteppers` | [`Motion::new`] | no task of its own: whoever owns it calls [`Motion::poll`] at [`Motion::poll_timeout`]; a late call delays events, never pulses |
+//! | `stepperConnectToPin(pin, driver)`, `getStepPin` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
+//! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `initI2sMux` and `i2sMuxSetBit` |
 //! | `task_rate(ms)`, a stop if it is longer than what is planned | [`Axis::wants_planning`], [`limits::LOW_WATER_TICKS`] | the pulses ask for planning; a planner that is too late is a fault with a name, not a silent stop |
 //! | `setExternalCallForPin`, pins ≥ 128 | [`ShiftConfig`], [`io::shift::ShiftPins`] | enable and direction pins, of C and D too; confirmed by the level read back before the first step, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
 //! | `setDebugLed` | no counterpart | |
@@ -20,8 +20,8 @@
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
-//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32 | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`], [`AxisProfile::direction_inverted`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. |
-//! | `setEnablePin`, two pins, low- and high-active; shared pins | [`MotionConfig::enables`], [`io::enable::EnableConfig`] | shared by any set of axes |
+//! | `setDirectionPin(pin, high_counts_up, delay_us)`, 200 to 4095 µs on ESP32; `getDirectionPin`, `directionPinHighCountsUp` | [`AxisProfile::dir_setup_ns`], [`AxisProfile::dir_hold_ns`], [`AxisProfile::direction_inverted`] | in ns, from one tick of 62.5 ns to 200 µs; the hold time after the last step is kept too, which its API does not name. |
+//! | `setEnablePin`, two pins, low- and high-active; shared pins; `getEnablePinHighActive`, `getEnablePinLowActive` | [`MotionConfig::enables`], [`io::enable::EnableConfig`] | shared by any set of axes |
 //! | `enableOutputs`, `disableOutputs` (false while it runs) | [`Motion::enable`], [`Motion::disable`] | the same |
 //! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`EnableConfig::delay_on_us`], [`EnableConfig::delay_off_ms`] | the delays are instants to the tick; all axes of the queue go together |
 //! | a step's high time is half its interval, 2 ms at most | [`AxisProfile::high_ns`], [`AxisProfile::high_ns_min`], [`AxisProfile::low_ns_min`] | minima of the driver, with profiles such as [`AxisProfile::drv8825`] |
@@ -35,11 +35,11 @@
 //! | `getPositionAfterCommandsCompleted`, `targetPos` | [`Motion::outlook`] tells it with soft limits | whoever feeds the queue adds up what it feeds |
 //! | `setPositionAfterCommandsCompleted` | [`Command::SetPosition`] | takes effect when the commands before have ended |
 //! | `isRunning` | [`Motion::is_active`], [`Motion::is_driving`], [`Motion::is_driven`] for one axis | and events that tell it: [`MotionEvent::Rest`], [`MotionEvent::DriveEnded`] |
-//! | `getMaxSpeedInUs` … `InMilliHz` | [`AxisProfile::high_ns_min`], [`CommandError::TooFast`] | no call: the refusal names the shortest interval. The limit is the driver's (there 200 kHz); what a core can keep up with is counted by the bench `instructions` |
+//! | `getMaxSpeedInUs`, `getMaxSpeedInTicks`, `getMaxSpeedInHz`, `getMaxSpeedInMilliHz` | [`AxisProfile::high_ns_min`], [`CommandError::TooFast`] | no call: the refusal names the shortest interval. The limit is the driver's (there 200 kHz); what a core can keep up with is counted by the bench `instructions` |
 //! | `setAbsoluteSpeedLimit` (untested, no check) | [`AxisProfile`] | checked |
-//! | `setSpeedInUs`, `InTicks`, `InHz`, `InMilliHz`; −1 if out of range | [`Course::interval_us`], [`Course::interval_ticks`], [`Course::hz`], [`Course::mhz`]; in the queue Hz | part of the order, so no setting is left over from before; no lower bound of speed |
-//! | `getSpeedIn…` | no counterpart | the order says it |
-//! | `getCurrentSpeedInUs`, `InMilliHz(realtime)` | [`Motion::speed_mhz`] | that of what was encoded last, at most two half blocks ahead |
+//! | `setSpeedInUs`, `setSpeedInTicks`, `setSpeedInHz`, `setSpeedInMilliHz`; −1 if out of range | [`Course::interval_us`], [`Course::interval_ticks`], [`Course::hz`], [`Course::mhz`]; in the queue Hz | part of the order, so no setting is left over from before; no lower bound of speed |
+//! | `getSpeedInUs`, `getSpeedInTicks`, `getSpeedInMilliHz` | no counterpart | the order says it |
+//! | `getCurrentSpeedInUs`, `getCurrentSpeedInMilliHz(realtime)` | [`Motion::speed_mhz`] | that of what was encoded last, at most two half blocks ahead |
 //! | `setAcceleration`, `getAcceleration` | [`Course::hz`], [`Ramp`] | part of the order |
 //! | `getCurrentAcceleration` | no counterpart | |
 //! | `setLinearAcceleration(steps)` | [`RampShape::Trapezoid`], `linear_steps` | the same law at both ends, in closed form; also in flight |
@@ -48,6 +48,9 @@
 //! | nothing (ESP-IDF's example `stepper_motor`: a table) | [`Course::smooth`] | no table, no rounding of periods, the end frequency is reached; changed and stopped in flight |
 //!
 //! # Moves
+//!
+//! All of them can be had from outside: queued commands by jobs, drives by `fleet jog`, the key `jog`, and
+//! by scripts.
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
@@ -58,7 +61,7 @@
 //! | `applySpeedAcceleration` | [`Motion::drive`] with [`Target::By`] of 0 | within 2 ms; there behind what is planned, 20 ms |
 //! | `keepRunning`, `runForward`, `runBackward` | [`Target::Forever`] | |
 //! | `forwardStep`, `backwardStep`, only when idle | [`Target::By`] of ±1, [`Command::Move`] | |
-//! | `moveByAcceleration(a, allow_reverse)` | [`Target::Forever`] with another [`Course`]; [`Motion::end_drive`] | another sign turns it. Missing: an acceleration of 0, which keeps the present speed |
+//! | `moveByAcceleration(a, allow_reverse)` | [`Target::Forever`] with another [`Course`]; [`Motion::coast`] for 0; [`Motion::end_drive_of`] | another sign turns it; the speed that is kept is known to a mHz |
 //! | `stopMove` | [`Motion::end_drive_of`], [`Motion::end_drive`] or [`Motion::stop`] with [`StopMode::Decelerate`] | on its path, begins within 2 ms. May not be called from an interrupt: a stop input is a message to the owner |
 //! | `stepsToStop` | [`Motion::steps_to_stop`] | exact: includes what the hardware holds, and knows S-curves |
 //! | `forceStop`, within 20 ms | [`Motion::stop`] with [`StopMode::Halt`] | at once, at the end of the high time; the position is exact. Not from an interrupt either |
@@ -74,7 +77,7 @@
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
 //! | `setForwardPlanningTimeInMs`, 20 ms | none needed | a change takes effect behind what the hardware holds, 2 ms at most |
-//! | `moveTimed(steps, duration, &actual, start)` | [`Command::Move`], [`Command::Pause`] | the interval is given and kept, so the duration is exact. Missing: steps of a duration that no whole µs divides |
+//! | `moveTimed(steps, duration, &actual, start)` | [`Command::Move`], [`Command::Pause`] | the interval is given and kept, so the duration is exact. No counterpart of a duration that the steps do not divide into whole µs: there its error is hidden in the last interval, here the sender says how the rest is shared, by a second [`Command::Move`] with an interval of 1 µs more |
 //! | `addQueueEntry({ticks, steps, count_up}, start)` | [`Motion::reserve`] | all of a batch or nothing. Intervals in µs instead of ticks. No least duration of 200 µs, no most of 255 steps or 65,535 ticks |
 //! | 32 entries | [`CommandRing`] | as many as its memory holds; 4096 on the board |
 //! | `AQE_…` results, to be retried | [`Full`], [`CommandError`] | busy pins are no error: the planner makes the time |
@@ -84,13 +87,13 @@
 //! | a pause before the first step of another direction | the same, only what is missing of the time that the steps leave anyway | at most 90 µs by the default profile |
 //! | `isQueueEmpty`, `isQueueFull`, `isQueueRunning`, `queueEntries` | [`Motion::credit_commands`], [`Motion::accepted_commands`], [`Motion::executed_commands`], [`Motion::is_active`] | |
 //! | `ticksInQueue`, `hasTicksInQueue` | no counterpart | to run dry is told: [`MotionEvent::Underrun`] |
-//! | `getPeriodIn…AfterCommandsCompleted` | no counterpart | |
+//! | `getPeriodInUsAfterCommandsCompleted`, `getPeriodInTicksAfterCommandsCompleted` | no counterpart | |
 //!
 //! # The pulse counter
 //!
 //! | FastAccelStepper | here | difference |
 //! |---|---|---|
-//! | `attachToPulseCounter`, `readPulseCounter`, `clearPulseCounter`, `dir_pin_readback` | [`StepBackend::counted_steps`] | its count checks the ledger whenever the axes rest ([`MotionEvent::Miscount`]). No counter for the user: the position is exact already |
+//! | `attachToPulseCounter`, `readPulseCounter`, `clearPulseCounter`, `pulseCounterAttached`, `dir_pin_readback` | [`StepBackend::counted_steps`] | its count checks the ledger whenever the axes rest ([`MotionEvent::Miscount`]). No counter for the user: the position is exact already |
 //! | counts modulo a revolution | no counterpart | the remainder of [`Motion::position_steps`] is that |
 //!
 //! [`Command::Barrier`]: keys::Command::Barrier
@@ -128,6 +131,7 @@
 //! [`DriveError::Busy`]: crate::DriveError::Busy
 //! [`Full`]: crate::Full
 //! [`Motion::accepted_commands`]: crate::Motion::accepted_commands
+//! [`Motion::coast`]: crate::Motion::coast
 //! [`Motion::credit_commands`]: crate::Motion::credit_commands
 //! [`Motion::drive`]: crate::Motion::drive
 //! [`Motion::end_drive`]: crate::Motion::end_drive

@@ -26,10 +26,10 @@ use alloc::{
 };
 use keys::{
     AxisId, Command, JobId, LocalMicros, NodeState, QueueId, Refusal, ScriptHeader, ScriptOutcome,
-    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, signed::Proof,
-    start::BarrierName, trace::TraceWord,
+    ScriptReport, StopMode, StopReason, Verdict, command::Ramp, script::SCRIPT_BYTES_MAX,
+    signed::Proof, start::BarrierName, trace::TraceWord,
 };
-use motion::{CommandError, StepBackend};
+use motion::{CommandError, DriveError, StepBackend, Target};
 use script::{BarrierError, End, Full, Host, LidarReading, Script, Step, Wait};
 
 /// What a script has published and the link has not taken.
@@ -66,6 +66,12 @@ pub(crate) enum Slot {
         job: JobId,
         script: Box<Script>,
     },
+    /// It has returned, and what it drives has not come to rest.
+    Resting {
+        first_command: u64,
+        job: JobId,
+        json: String,
+    },
     /// It is over, and the gateway may not know.
     Ended {
         report: ScriptReport,
@@ -76,7 +82,7 @@ pub(crate) enum Slot {
 
 impl Slot {
     pub(crate) fn is_running(&self) -> bool {
-        matches!(self, Self::Running { .. })
+        matches!(self, Self::Running { .. } | Self::Resting { .. })
     }
 
     /// Returns whether it runs and will add no command before something else has happened.
@@ -236,6 +242,9 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         if self.phase != Phase::Open {
             return;
         }
+        if let Slot::Resting { .. } = self.script {
+            return self.rest_script(now);
+        }
         let Slot::Running {
             first_command,
             job,
@@ -258,21 +267,50 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
                 };
             }
             Step::Ended(End::Returned { json }) => {
-                let end_command = self.motion.accepted_commands();
-                self.job = Some(CurrentJob {
-                    id: job,
-                    end: end_command,
-                });
                 self.trace.note(now, Event::ScriptEnded);
                 self.tell_of_job(now, TraceWord::ScriptEnded);
-                let outcome = ScriptOutcome::Returned;
-                let text = json.unwrap_or_default();
-                self.report_script(first_command, end_command, job, outcome, text, now);
+                self.end_endless_drives();
+                self.script = Slot::Resting {
+                    first_command,
+                    job,
+                    json: json.unwrap_or_default(),
+                };
+                self.rest_script(now);
             }
             Step::Ended(End::Failed { message }) => {
                 drop(script);
                 self.fail_script(first_command, job, message, now);
             }
+        }
+    }
+
+    /// What runs without an end comes to rest with the script, what has a target arrives.
+    fn end_endless_drives(&mut self) {
+        for axis in (0..self.motion.axis_count()).map(|axis| AxisId(axis as u8)) {
+            if self.motion.is_endless(axis) {
+                self.motion.end_drive_of(axis);
+            }
+        }
+    }
+
+    /// A script that has returned is over when nothing is driven.
+    fn rest_script(&mut self, now: LocalMicros) {
+        if self.motion.is_driving() {
+            return;
+        }
+        if let Slot::Resting {
+            first_command,
+            job,
+            json,
+        } = core::mem::take(&mut self.script)
+        {
+            let end_command = self.motion.accepted_commands();
+            self.job = Some(CurrentJob {
+                id: job,
+                end: end_command,
+            });
+            let outcome = ScriptOutcome::Returned;
+            self.report_script(first_command, end_command, job, outcome, json, now);
         }
     }
 
@@ -339,7 +377,7 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match core::mem::take(&mut self.script) {
             Slot::Running { mut script, .. } => self.log_ended(&mut script, now),
             ended @ Slot::Ended { .. } => self.script = ended,
-            Slot::None | Slot::Arriving { .. } => {}
+            Slot::None | Slot::Arriving { .. } | Slot::Resting { .. } => {}
         }
     }
 
@@ -498,6 +536,23 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
         } else {
             Err(CommandError::Range)
         }
+    }
+
+    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError> {
+        self.node.motion.drive(axis, target, ramp.into())?;
+        self.node.outputs.note_drive(axis, Some(ramp), self.now);
+        Ok(())
+    }
+
+    fn end_drive(&mut self, axis: Option<AxisId>) {
+        match axis {
+            Some(axis) => self.node.motion.end_drive_of(axis),
+            None => self.node.motion.end_drive(StopMode::Decelerate),
+        }
+    }
+
+    fn is_driven(&self, axis: AxisId) -> bool {
+        self.node.motion.is_driven(axis)
     }
 
     fn emergency_stop(&mut self) {

@@ -163,3 +163,47 @@ fn the_lidar_is_read_when_what_came_before_has_ended() {
         format!("[{mm},1000,true]")
     );
 }
+
+#[test]
+fn a_script_drives_axes_each_by_itself_and_changes_them_in_flight() {
+    let mut rig = Rig::new(recorded(config()));
+    let text = "motor.queue_move(0, 500, 100)
+        motor.drive_to(0, -3000, 1500, 8000)
+        assert(motor.get_position(0) == 100, 'what is queued before comes first')
+        motor.run(1, 1, 800, 4000, {jerk = 40000})
+        sleep(400) assert(motor.is_driven(0) and motor.is_driven(1))
+        motor.drive_by(1, 0, 1600, 4000) sleep(600)
+        assert(motor.get_speed(1) > 1590)
+        motor.drive_to(0, 50, 2000, 9000)
+        motor.end_drive(1)
+        while motor.is_driven(1) do sleep(1) end
+        motor.queue_move(1, 500, 7) wait_idle()
+        assert(motor.get_position(0) == 50 and not motor.is_driven(0))
+        motor.run(1, -1, 900, 4000) sleep(500)
+        motor.drive_to(0, 10, 100, 1000)
+        return 'done'";
+    send(&mut rig, text);
+    rig.run_for(20_000_000);
+    assert_eq!(reported(&rig, ScriptOutcome::Returned), "\"done\"");
+    assert_eq!(rig.state(), NodeState::Idle);
+    // What has a target arrives when the script is over, what has none comes to rest.
+    assert_eq!(rig.node.position_steps(AxisId(0)), 10);
+    let life = rig.node.life();
+    assert_eq!(life.drives.len(), 4);
+    oracle::check_life(&life).expect("good pulses");
+}
+
+#[test]
+fn a_script_that_fails_or_is_stopped_ends_its_drives() {
+    for end in ["error('enough')", "motor.emergency_stop()"] {
+        let mut rig = Rig::new(recorded(config()));
+        let text = format!("motor.run(0, 1, 900, 4000) sleep(500) {end}");
+        send(&mut rig, &text);
+        rig.run_for(3_000_000);
+        let at = rig.node.position_steps(AxisId(0));
+        assert!((300..600).contains(&at), "{end}: {at}");
+        rig.run_for(1_000_000);
+        assert_eq!(rig.node.position_steps(AxisId(0)), at);
+        oracle::check_life(&rig.node.life()).expect("good pulses");
+    }
+}

@@ -12,6 +12,7 @@ use keys::{
     command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
     start::{BARRIER_BYTES_MAX, BarrierName},
 };
+use motion::{Direction, DriveError, Target};
 
 /// What a script waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +62,11 @@ enum Do {
     Hold,
     Resume,
     SetSpeedPercent,
+    DriveTo,
+    DriveBy,
+    Run,
+    EndDrive,
+    IsDriven,
     LaserSetPower,
     LidarRead,
     InputRead,
@@ -73,7 +79,7 @@ enum Do {
     WaitIdle,
 }
 
-const COUNT: usize = 32;
+const COUNT: usize = 37;
 
 macro_rules! functions {
     ($(($module:literal, $name:literal, $shape:literal, $what:ident),)*) => {
@@ -115,6 +121,11 @@ functions! {
     (c"motor", c"hold", c"", Hold),
     (c"motor", c"resume", c"", Resume),
     (c"motor", c"set_speed_percent", c"v", SetSpeedPercent),
+    (c"motor", c"drive_to", c"vvvvr", DriveTo),
+    (c"motor", c"drive_by", c"vvvvr", DriveBy),
+    (c"motor", c"run", c"vvvvr", Run),
+    (c"motor", c"end_drive", c"v", EndDrive),
+    (c"motor", c"is_driven", c"v", IsDriven),
     (c"laser", c"set_power", c"v", LaserSetPower),
     (c"lidar", c"read", c"v", LidarRead),
     (c"input", c"read", c"v", InputRead),
@@ -135,6 +146,9 @@ const MS_MAX: i64 = 86_400_000;
 
 /// How long `lidar.read` waits for the sensor when nothing is said, ms.
 const LIDAR_MS_DEFAULT: i64 = 1_000;
+
+/// When a drive that could not begin is tried again.
+const BUSY_US: u64 = 1_000;
 
 /// What looking at the node costs beyond its own instruction, so that a loop that only looks
 /// leaves the processor to others.
@@ -438,6 +452,34 @@ impl Turn<'_> {
                 set.map_err(|error| format!("percent: {error}"))?;
                 Ok(NOTHING)
             }
+            Do::DriveTo => {
+                let to = args.any(1, "position")?;
+                self.drive(&args, Target::To(to))
+            }
+            Do::DriveBy => {
+                let by = args.any(1, "steps")?;
+                self.drive(&args, Target::By(by))
+            }
+            Do::Run => {
+                let way = match args.whole(1, "direction", -1, 1)? {
+                    0 => return Err("direction: 1 or -1, got 0".into()),
+                    way => Direction::of(way),
+                };
+                self.drive(&args, Target::Forever(way))
+            }
+            Do::EndDrive => {
+                let axis = match call.args[0] {
+                    Value::Nil => None,
+                    _ => Some(self.axis(&args)?),
+                };
+                self.host.end_drive(axis);
+                Ok(NOTHING)
+            }
+            Do::IsDriven => {
+                let axis = self.axis(&args)?;
+                self.look();
+                Ok(returns(Reply::Boolean(self.host.is_driven(axis))))
+            }
             Do::LidarRead => self.read_lidar(&args, again),
             Do::InputRead => {
                 let name = args.name(0, "name")?;
@@ -527,6 +569,26 @@ impl Turn<'_> {
         self.doings.staged.push(command);
         self.doings.queued_count += 1;
         Ok(returns(Reply::Integer(self.doings.queued_count as i32)))
+    }
+
+    /// Drives an axis outside the queue, once what was queued before has ended.
+    fn drive(&mut self, args: &Args<'_>, target: Target) -> Result<Answer, Wrong> {
+        let axis = self.axis(args)?;
+        let ramp = args.ramp()?;
+        self.doings.execute(self.host);
+        if self.host.executed_commands() < self.host.accepted_commands() {
+            return self.wait_for(Wait::Idle);
+        }
+        self.doings.lives = true;
+        match self.host.drive(axis, target, ramp) {
+            Ok(()) => Ok(NOTHING),
+            // The last step is not quite over, or it is held: nothing that lasts by itself.
+            Err(DriveError::Busy) => {
+                let again = self.host.now().plus_us(BUSY_US);
+                self.wait_for(Wait::Until(again))
+            }
+            Err(error) => Err(format!("{error}")),
+        }
     }
 
     fn read_lidar(&mut self, args: &Args<'_>, again: Option<Wait>) -> Result<Answer, Wrong> {

@@ -1,7 +1,7 @@
 //! What a script finds around it: the node, as far as scripts may see and move it.
 
-use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
-use motion::CommandError;
+use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
+use motion::{CommandError, DriveError, Target};
 
 /// Why a script cannot meet others at a barrier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +80,15 @@ pub trait Host {
     /// # Errors
     /// The percentage is out of range.
     fn set_speed_percent(&mut self, percent: u16) -> Result<(), CommandError>;
+    /// Drives an axis outside the queue, or changes such a drive in flight; nothing is in the queue.
+    ///
+    /// # Errors
+    /// [`DriveError`]; nothing has happened.
+    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError>;
+    /// Brings a drive to rest by its ramp; `None`: all of them.
+    fn end_drive(&mut self, axis: Option<AxisId>);
+    /// Returns whether an axis is driven.
+    fn is_driven(&self, axis: AxisId) -> bool;
     /// Stops at once and sets the latch; the script ends with this call.
     fn emergency_stop(&mut self);
     /// Returns the laser's power, percent.

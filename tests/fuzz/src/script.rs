@@ -1,8 +1,8 @@
 //! A script of any text: it ends or gives way in every slice, keeps to its memory, and queues no
 //! more than there is room for.
 
-use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
-use motion::CommandError;
+use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
+use motion::{CommandError, DriveError, Target};
 use script::{BarrierError, Full, Host, LidarReading, Limits, Script, Step};
 
 /// Small limits, so that what runs away ends soon.
@@ -86,6 +86,17 @@ impl Host for Bench {
         } else {
             Ok(())
         }
+    }
+    fn drive(&mut self, _: AxisId, target: Target, _: Ramp) -> Result<(), DriveError> {
+        if target == Target::By(13) {
+            Err(DriveError::Still)
+        } else {
+            Ok(())
+        }
+    }
+    fn end_drive(&mut self, _: Option<AxisId>) {}
+    fn is_driven(&self, _: AxisId) -> bool {
+        false
     }
     fn emergency_stop(&mut self) {}
     fn laser_percent(&self) -> u8 {

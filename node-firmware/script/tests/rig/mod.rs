@@ -6,8 +6,8 @@
     reason = "each test file uses another part of this one"
 )]
 
-use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
-use motion::CommandError;
+use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
+use motion::{CommandError, DriveError, Target};
 use script::{BarrierError, End, Full, Host, LidarReading, Limits, Script, Step, Wait};
 
 pub struct Bench {
@@ -23,6 +23,7 @@ pub struct Bench {
     pub held: bool,
     pub percent: u16,
     pub stopped: bool,
+    pub driven: Vec<(AxisId, Target, Ramp)>,
     pub barriers: Vec<BarrierName>,
     /// Every command that ever came.
     pub commands: Vec<Command>,
@@ -43,6 +44,7 @@ impl Default for Bench {
             held: false,
             percent: 100,
             stopped: false,
+            driven: Vec::new(),
             barriers: Vec::new(),
             commands: Vec::new(),
         }
@@ -112,6 +114,19 @@ impl Host for Bench {
         }
         self.percent = percent;
         Ok(())
+    }
+    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError> {
+        if target == Target::By(13) {
+            return Err(DriveError::Still);
+        }
+        self.driven.push((axis, target, ramp));
+        Ok(())
+    }
+    fn end_drive(&mut self, _: Option<AxisId>) {
+        self.driven.clear();
+    }
+    fn is_driven(&self, axis: AxisId) -> bool {
+        self.driven.iter().any(|(driven, ..)| *driven == axis)
     }
     fn emergency_stop(&mut self) {
         self.stopped = true;
