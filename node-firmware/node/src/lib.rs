@@ -254,6 +254,8 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     rssi_dbm: Option<i8>,
     outbox: Outbox,
     teller: Teller,
+    /// The link has come, and no status has left since.
+    greets: bool,
     trace: Trace,
 }
 
@@ -317,6 +319,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             rssi_dbm: None,
             outbox: Outbox::new(),
             teller: Teller::default(),
+            greets: false,
             trace: Trace::new(),
         };
         node.ring_commands = node.motion.credit_commands();
@@ -467,12 +470,16 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         if let Some(ack) = self.outbox.pop_ack() {
             return Some(outbound(NodeTopic::Ack, &ack));
         }
-        // Before the status, so that who hears of a job's end knows its story.
-        if let Some(event) = self.teller.pop() {
+        // Before the status, so that who hears of a job's end knows its story; but a link begins with a
+        // status, which says whose story it is.
+        if !self.greets
+            && let Some(event) = self.teller.pop()
+        {
             return Some(outbound(NodeTopic::Trace, &event));
         }
         if self.status_due {
             self.status_due = false;
+            self.greets = false;
             self.status_told_at = now;
             return Some(outbound(NodeTopic::Status, &self.status()));
         }
@@ -699,6 +706,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
         }
         self.link_loss_settled = false;
         self.status_due = true;
+        self.greets = true;
         self.pace.due = true;
         // What was on its way when the link went may be lost.
         if let Slot::Ended { say_at, .. } = &mut self.script {
