@@ -42,6 +42,7 @@ use redb::{
 };
 use std::{
     io::Read as _,
+    panic::{UnwindSafe, catch_unwind},
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -137,20 +138,7 @@ impl Journal {
     /// existing file that is no store is left as it is.
     pub fn open(path: impl AsRef<Path>) -> Result<(Self, Stored), JournalError> {
         let path = path.as_ref();
-        let mut database = Database::builder()
-            .set_cache_size(CACHE_BYTES)
-            .create(path)
-            .map_err(|error| open_error(path, error))?;
-        // Opening believes the pages; this reads them all.
-        match database.check_integrity() {
-            Ok(true) => {}
-            Ok(false) => {
-                let why = "its pages do not agree with each other".to_owned();
-                let path = path.to_owned();
-                return Err(JournalError::Damaged { path, why });
-            }
-            Err(error) => return Err(open_error(path, error)),
-        }
+        let database = guarded(path, || open_checked(path))?;
         let (mut journal, stored) = Self::from_database(database, path.to_owned())?;
         let database = Arc::get_mut(&mut journal.database).expect("nobody copies it yet");
         compact(database, path).map_err(|error| journal.failed(error))?;
@@ -360,6 +348,36 @@ fn compact(database: &mut Database, path: &Path) -> Result<(), redb::Error> {
         );
     }
     Ok(())
+}
+
+/// Opens a database that may be damaged: it believes some numbers in its file, and panics where they
+/// lead nowhere.
+fn guarded<T>(
+    path: &Path,
+    open: impl FnOnce() -> Result<T, JournalError> + UnwindSafe,
+) -> Result<T, JournalError> {
+    catch_unwind(open).unwrap_or_else(|_| {
+        let why = "its pages say what cannot be".to_owned();
+        let path = path.to_owned();
+        Err(JournalError::Damaged { path, why })
+    })
+}
+
+/// Opens a file, or makes it, and reads all its pages: opening alone believes them.
+fn open_checked(path: &Path) -> Result<Database, JournalError> {
+    let mut database = Database::builder()
+        .set_cache_size(CACHE_BYTES)
+        .create(path)
+        .map_err(|error| open_error(path, error))?;
+    match database.check_integrity() {
+        Ok(true) => Ok(database),
+        Ok(false) => {
+            let why = "its pages do not agree with each other".to_owned();
+            let path = path.to_owned();
+            Err(JournalError::Damaged { path, why })
+        }
+        Err(error) => Err(open_error(path, error)),
+    }
 }
 
 fn open_error(path: &Path, error: DatabaseError) -> JournalError {

@@ -126,6 +126,30 @@ fn a_bit_that_has_changed_on_the_disk_is_noticed_and_the_file_left_as_it_is() {
 }
 
 #[test]
+fn numbers_that_lead_nowhere_are_refused_in_words_by_gateway_and_doctor() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("fleet.redb");
+    store(&path, &day());
+    let bytes = fs::read(&path).expect("reads");
+    let used: Vec<usize> = (0..bytes.len() - 4).filter(|at| bytes[*at] != 0).collect();
+    for round in 0..80 {
+        let mut damaged = bytes.clone();
+        let at = used[round * used.len() / 80];
+        damaged[at..at + 4].fill(0x7f);
+        fs::write(&path, &damaged).expect("writes");
+        // Whatever is found: in words, and by both.
+        let refused = check::check(&path).is_err();
+        match Journal::open(&path) {
+            Ok(_) => {}
+            Err(error) => {
+                assert!(refused, "byte {at}: the doctor found nothing");
+                assert!(error.to_string().contains("fleet.redb"), "{error}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_copy_is_the_store_of_one_instant_whatever_is_written_meanwhile() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("fleet.redb");

@@ -9,6 +9,7 @@ use std::{
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
+    sync::Once,
     time::{Duration, Instant},
 };
 use zenoh::{Config, Session, Wait, bytes::Encoding};
@@ -79,12 +80,20 @@ impl Process {
 /// # Panics
 /// It does not build.
 pub fn binary(name: &str) -> PathBuf {
+    static BUILT: Once = Once::new();
     let mut folder = std::env::current_exe().expect("it has a path");
     folder.pop();
     if folder.ends_with("deps") {
         folder.pop();
     }
-    // Cargo knows whether they are old. Without it, a copy of this program finds copies of them.
+    BUILT.call_once(|| build(&folder));
+    let path = folder.join(name);
+    assert!(path.exists(), "{} is not built", path.display());
+    path
+}
+
+/// Cargo knows whether they are old. Without it, a copy of this program finds copies of them.
+fn build(folder: &Path) {
     if let Some(cargo) = std::env::var_os("CARGO") {
         let mut build = Command::new(cargo);
         // All at once: chosen alone, each would get dependencies with other features, built anew.
@@ -96,12 +105,9 @@ pub fn binary(name: &str) -> PathBuf {
         let status = build.current_dir(env!("CARGO_MANIFEST_DIR")).status();
         assert!(
             status.is_ok_and(|status| status.success()),
-            "{name} must build"
+            "the programs must build"
         );
     }
-    let path = folder.join(name);
-    assert!(path.exists(), "{} is not built", path.display());
-    path
 }
 
 /// A gateway that listens on loopback.

@@ -23,6 +23,9 @@ login       none
 update key  none
 boot script no
 signers     none: executes what its gateway sends
+switches    none
+C and D     no
+lidar       no
 $ fleet provision left.port --name left --wifi shop --wifi-password-file wifi.txt --router ROUTER --boot-script --signers home/signers --restart
 firmware    0.1.0
 name        left
@@ -32,6 +35,9 @@ login       none
 update key  none
 boot script allowed
 signers     ALICE…
+switches    none
+C and D     no
+lidar       no
 $ fleet script left boot --put boot.lua
 fleet: script boot not taken: it is not signed
 exit code 1

@@ -17,7 +17,7 @@ pub fn help_ui(ui: &Ui, view: &mut View) {
             ui.label(theme::toned(ui, theme::Tone::Warn, words));
             // On a small screen they are scrolled.
             let keys = egui::ScrollArea::vertical().max_height(theme::window_room(ui.ctx()) - 80.0);
-            keys.show(ui, |ui| keys_ui(ui));
+            keys.show(ui, keys_ui);
         });
     view.help_open &= open;
 }

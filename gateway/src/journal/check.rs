@@ -4,7 +4,7 @@
 //! cut-off write left behind. Everything that is wrong is told, not only what a gateway would
 //! stumble over first.
 
-use super::{FORMAT, Journal, JournalError, open_error};
+use super::{FORMAT, Journal, JournalError, guarded, open_error};
 use crate::fleet::{Fleet, FleetConfig, Stored};
 use keys::FleetMicros;
 use redb::{DatabaseError, ReadOnlyDatabase};
@@ -44,11 +44,11 @@ pub fn check(path: &Path) -> Result<Findings, JournalError> {
     };
     let file_bytes = std::fs::metadata(path).map_err(failed)?.len();
     // Held while the file is copied, so that no gateway begins to write meanwhile.
-    let (held, cut_off) = match ReadOnlyDatabase::open(path) {
-        Ok(database) => (Some(database), false),
-        Err(DatabaseError::RepairAborted) => (None, true),
-        Err(error) => return Err(open_error(path, error)),
-    };
+    let (held, cut_off) = guarded(path, || match ReadOnlyDatabase::open(path) {
+        Ok(database) => Ok((Some(database), false)),
+        Err(DatabaseError::RepairAborted) => Ok((None, true)),
+        Err(error) => Err(open_error(path, error)),
+    })?;
     let copy = Copy::make(path).map_err(failed)?;
     drop(held);
     let (journal, stored) = Journal::open(&copy.0).map_err(|error| rename(error, path))?;
@@ -96,6 +96,15 @@ fn examine(stored: Stored, findings: &mut Findings) {
     for node in &stored.nodes {
         let one = Stored {
             nodes: vec![node.clone()],
+            ..Stored::default()
+        };
+        if let Err(why) = restore(one) {
+            findings.wrong.push(why);
+        }
+    }
+    for kept in &stored.kept {
+        let one = Stored {
+            kept: vec![kept.clone()],
             ..Stored::default()
         };
         if let Err(why) = restore(one) {

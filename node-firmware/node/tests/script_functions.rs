@@ -35,7 +35,7 @@ const fn case(
     }
 }
 
-const CASES: [Case; 32] = [
+const CASES: [Case; 37] = [
     case(
         "motor.queue_move",
         "motor.queue_move(0, 100, 300) motor.queue_move(1, 200, -20) wait_idle() return motor.get_position(0)",
@@ -209,6 +209,36 @@ const CASES: [Case; 32] = [
         "wait_idle",
         "motor.queue_move(0, 100, 50) wait_idle() return motor.get_position(0), motor.get_queue_depth()",
         "[50,0]",
+        [50, 0],
+    ),
+    case(
+        "motor.drive_to",
+        "motor.drive_to(0, 300, 2000, 20000) motor.drive_to(1, -40, 2000, 20000, {jump_steps = 2}) wait_idle() return motor.get_position(0), motor.get_position(1)",
+        "[300,-40]",
+        [300, -40],
+    ),
+    case(
+        "motor.drive_by",
+        "motor.drive_to(0, 300, 2000, 20000) sleep(50) motor.drive_by(0, -500, 2000, 20000) wait_idle() return motor.get_position(0)",
+        "-200",
+        [-200, 0],
+    ),
+    Case {
+        function: "motor.run",
+        text: "motor.run(0, -1, 1000, 10000) sleep(300) local v, d = motor.get_speed(0), motor.is_driven(0) motor.end_drive() wait_idle() return v, d, motor.get_position(0) < -200, motor.get_speed(0)",
+        returned: "[-1000.0,true,true,0.0]",
+        counted: None,
+    },
+    Case {
+        function: "motor.end_drive",
+        text: "motor.run(0, 1, 1000, 10000) motor.drive_to(1, 400, 1000, 10000) sleep(100) motor.end_drive(0) wait_idle() return motor.get_position(0) < 300, motor.get_position(1)",
+        returned: "[true,400]",
+        counted: None,
+    },
+    case(
+        "motor.is_driven",
+        "motor.drive_to(0, 50, 1000, 10000) local a, b = motor.is_driven(0), motor.is_driven(1) wait_idle() return a, b, motor.is_driven(0)",
+        "[true,false,false]",
         [50, 0],
     ),
     // The two below end otherwise, or need others: see the tests of their own.

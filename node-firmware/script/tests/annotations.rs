@@ -63,7 +63,7 @@ fn good(function: &Function, parameter: &Parameter) -> &'static str {
         ("node.call", "name") => "'stored'",
         ("motor.queue_line", "steps") => "{1, 2}",
         _ => match parameter.kind.as_str() {
-            "integer" | "CommandId" => "1",
+            "integer" | "CommandId" | "1|-1" => "1",
             "string" => "'a'",
             "boolean" => "true",
             "RampOptions" => "{}",
@@ -76,7 +76,7 @@ fn good(function: &Function, parameter: &Parameter) -> &'static str {
 /// Values that a parameter of this type does not take.
 fn bad(parameter: &Parameter) -> Vec<&'static str> {
     let mut bad = match parameter.kind.as_str() {
-        "integer" | "CommandId" => vec![
+        "integer" | "CommandId" | "1|-1" => vec![
             "{}",
             "true",
             "'x'",
