@@ -213,7 +213,7 @@ const CASES: [Case; 37] = [
     ),
     case(
         "motor.drive_to",
-        "motor.drive_to(0, 300, 2000, 20000) motor.drive_to(1, -40, 2000, 20000, {jump_steps = 2}) wait_idle() return motor.get_position(0), motor.get_position(1)",
+        "motor.drive_to(0, 300, 2000, 20000) motor.drive_to(1, -40, 2000, 20000) wait_idle() return motor.get_position(0), motor.get_position(1)",
         "[300,-40]",
         [300, -40],
     ),
