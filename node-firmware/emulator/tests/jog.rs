@@ -203,6 +203,35 @@ fn axes_are_jogged_each_by_itself() {
 }
 
 #[test]
+fn an_axis_rests_behind_its_last_step_also_while_another_one_goes_on() {
+    let mut bench = bench();
+    bench.jog(r#"{"axis":1,"run":"forward","speed_hz":2000,"accel":5000,"lease_ms":5000}"#);
+    bench.jog(r#"{"axis":0,"run":"backward","speed_hz":5,"accel":7000,"lease_ms":5000}"#);
+    // Its steps are 200 ms apart: the next one is in the pulse hardware already.
+    while bench.position(X) > -2 {
+        bench.run_for(100);
+    }
+    bench.run_for(199_500);
+    bench.jog(r#"{"axis":0,"stop":true}"#);
+    let (mut told, mut ended_at) = (true, None);
+    for _ in 0..100 {
+        bench.run_for(100);
+        // The same question again changes nothing.
+        let answer = bench.jog(r#"{"axis":0,"stop":true}"#);
+        let moves = answer["moving"] == true;
+        if told && !moves {
+            ended_at = Some(answer["position"].clone());
+        }
+        told = moves;
+    }
+    assert_eq!(bench.position(X), -3);
+    assert_eq!(ended_at, Some(serde_json::json!(-3)));
+    bench.jog(r#"{"stop":true}"#);
+    bench.run_for(2_000_000);
+    bench.judged();
+}
+
+#[test]
 fn what_is_wrong_is_named_and_moves_nothing() {
     let mut bench = bench();
     for (request, expected) in [

@@ -45,6 +45,8 @@ pub(super) struct Way {
     writing: usize,
     steps: Option<Steps<1>>,
     made: Made,
+    /// When the last stretch that was retired ends: it is encoded then, but has not been played.
+    retired_until: Option<u64>,
 }
 
 /// Where a way was left.
@@ -71,6 +73,7 @@ impl Way {
             at: 0,
             booked_steps: 0,
         },
+        retired_until: None,
     };
 
     /// Forgets where it leads.
@@ -78,6 +81,7 @@ impl Way {
         self.count = 0;
         self.writing = 0;
         self.steps = None;
+        self.retired_until = None;
     }
 
     /// Becomes as new: time begins anew.
@@ -97,6 +101,9 @@ impl Way {
     fn retire(&mut self, room: &mut [Option<Stretch>], encoded_ticks: u64) {
         let ended = |stretch: &&Stretch| stretch.end_ticks <= encoded_ticks;
         let done = self.all(room).take_while(ended).count().min(self.writing);
+        if let Some(last) = self.all(room).take(done).last() {
+            self.retired_until = Some(last.end_ticks);
+        }
         room.copy_within(done..self.count, 0);
         self.count -= done;
         self.writing -= done;
@@ -410,10 +417,10 @@ impl Planner {
         end.or(self.ways_rest_at)
     }
 
-    /// Returns when the way of an axis ends.
+    /// Returns when the way of an axis ends or has ended.
     pub(crate) fn way_end(&self, index: usize) -> Option<u64> {
-        let last = self.way(index).last();
-        last.map(|stretch| stretch.end_ticks)
+        let last = self.way(index).last().map(|stretch| stretch.end_ticks);
+        last.or(self.ways[index].retired_until)
     }
 
     /// Goes on with all ways, and with the rest of who has none, up to `until`.
