@@ -271,6 +271,29 @@ fn what_is_wrong_is_named_and_moves_nothing() {
 const RUN: &str = r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000}"#;
 
 #[test]
+fn a_jog_that_is_taken_back_while_the_one_before_it_ends_is_over_when_that_rests() {
+    // At whatever time it comes: while the axis can be led elsewhere, when all of its rest is in the
+    // pulse hardware, when it rests.
+    for after_us in (1_000..3_000).step_by(20) {
+        let mut bench = bench();
+        bench.jog(RUN);
+        bench.run_for(8);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(after_us);
+        bench.jog(r#"{"axis":0,"to":-616,"speed_hz":7,"accel":284}"#);
+        bench.run_for(5);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(1_000_000);
+        assert_eq!(state(&bench), NodeState::Idle, "{after_us} µs");
+        // And the next one begins.
+        bench.jog(r#"{"axis":0,"to":-5,"speed_hz":100,"accel":1000}"#);
+        bench.run_for(1_000_000);
+        assert_eq!(bench.position(X), -5, "{after_us} µs");
+        bench.judged();
+    }
+}
+
+#[test]
 fn it_is_refused_while_a_job_runs_and_a_job_waits_until_it_rests() {
     let mut bench = bench();
     let job = Command::Move {

@@ -192,7 +192,7 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     /// What was left of a way that rests is over.
-    fn settle_drives(&mut self) {
+    pub(super) fn settle_drives(&mut self) {
         if self.phase == Phase::Rest {
             for index in 0..self.axis_count {
                 if let Some(drive) = self.drives[index]
