@@ -184,6 +184,25 @@ fn speed_target_and_direction_change_in_flight() {
 }
 
 #[test]
+fn what_coasts_keeps_the_speed_of_its_ramp_also_at_the_end_of_it() {
+    // Steps by 40 Hz, and rest 22 ms behind the last one: that is no step of 45 Hz.
+    let mut bench = bench();
+    bench.jog(r#"{"axis":0,"to":27,"speed_hz":40,"accel":2032}"#);
+    while bench.position(X) < 27 {
+        bench.run_for(100);
+    }
+    bench.run_for(12_000);
+    bench.jog(r#"{"axis":0,"coast":true,"lease_ms":2000}"#);
+    bench.run_for(1_500_000);
+    let made = bench.position(X) - 27;
+    // It had slowed down to some 20 Hz.
+    assert!((20..40).contains(&made), "{made}");
+    bench.run_for(2_000_000);
+    assert_eq!(state(&bench), NodeState::Idle);
+    bench.judged();
+}
+
+#[test]
 fn axes_are_jogged_each_by_itself() {
     let mut bench = bench();
     bench.jog(r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000,"lease_ms":5000}"#);

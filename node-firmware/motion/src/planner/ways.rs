@@ -460,9 +460,7 @@ impl Planner {
         started_at: u64,
         now: u64,
     ) -> Real {
-        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
-        let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
-        let Some(stretch) = self.way(index).find(under_way) else {
+        let Some((stretch, cut)) = self.under_way(index, axis, started_at) else {
             return Real::ZERO;
         };
         let path = stretch.path();
@@ -471,5 +469,26 @@ impl Planner {
         slower.come_to_rest(&stretch.line.law);
         let since = Real::of(now.saturating_sub(stretch.begin.ticks));
         slower.end_steps() - path.state_at(since).place
+    }
+
+    /// Returns the speed of an axis with sign, steps a tick, where its way can be changed now; 0 where it
+    /// rests.
+    pub(crate) fn way_speed(&self, index: usize, axis: &Axis, started_at: u64) -> Real {
+        let Some((stretch, cut)) = self.under_way(index, axis, started_at) else {
+            return Real::ZERO;
+        };
+        let since = Real::of(cut - stretch.begin.ticks);
+        let speed = stretch.path().state_at(since).speed;
+        match Direction::of(stretch.line.steps[index]) {
+            Direction::Positive => speed,
+            Direction::Negative => Real::ZERO - speed,
+        }
+    }
+
+    /// What an axis does when its way can be changed, and when that is; `None`: it rests.
+    fn under_way(&self, index: usize, axis: &Axis, started_at: u64) -> Option<(&Stretch, u64)> {
+        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
+        let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
+        Some((self.way(index).find(under_way)?, cut))
     }
 }
