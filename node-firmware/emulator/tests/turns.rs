@@ -12,7 +12,10 @@ use keys::{
     command::{Ramp, RampShape},
     status::FaultCode,
 };
-use motion::{ConfigCd, Course, ShiftConfig, TICKS_PER_US, Target, io::input::Switch};
+use motion::{
+    ConfigCd, Course, ShiftConfig, TICKS_PER_US, Target,
+    io::{input::Switch, shift::RETRIES_MAX},
+};
 
 const X: AxisId = AxisId(0);
 const Y: AxisId = AxisId(1);
@@ -342,13 +345,14 @@ fn random_moves_holds_and_stops_keep_position_and_count() {
         if !stopped {
             bench.run_for(10_000_000);
             let status = bench.node.status();
-            // Disturbed too often in a row, the register is a fault, and that a stop like any other.
+            // Disturbed too often in a row, the register is a fault, and that a stop like any other;
+            // and nothing else is.
+            let disturbed = bench.node.shift_wrong_max() > u32::from(RETRIES_MAX);
             stopped = status.state == NodeState::Fault;
-            let code = status.faults.last().map(|fault| fault.code);
-            assert!(
-                !stopped || code == Some(FaultCode::SHIFT_REGISTER),
-                "{what}"
-            );
+            assert_eq!(stopped, disturbed, "{what}");
+            let codes: Vec<_> = status.faults.iter().map(|fault| fault.code).collect();
+            let expected = disturbed.then_some(FaultCode::SHIFT_REGISTER);
+            assert_eq!(codes, Vec::from_iter(expected), "{what}");
         }
         if stopped {
             bench.run_for(5_000_000);
