@@ -10,7 +10,7 @@ use emulator::{EmulatorConfig, oracle, pins::Pin, record::Life};
 use keys::{
     AxisId, Command, NodeState, StopMode,
     command::{Ramp, RampShape},
-    status::FaultCode,
+    status::{Fault, FaultCode},
 };
 use motion::{
     ConfigCd, Course, ShiftConfig, TICKS_PER_US, Target,
@@ -298,6 +298,12 @@ fn what_is_held_is_not_turned_for_the_command_behind_it() {
     }
 }
 
+/// Goes on, and lets the node see at once what there is to be done, as its own resumption does.
+fn resume(bench: &mut Bench) {
+    bench.node.node_mut().motion_mut().resume();
+    bench.run_for(0);
+}
+
 #[test]
 fn random_moves_holds_and_stops_keep_position_and_count() {
     for seed in seeds(2_000) {
@@ -327,7 +333,7 @@ fn random_moves_holds_and_stops_keep_position_and_count() {
                     .node_mut()
                     .motion_mut()
                     .hold(motion::Ticks(u64::MAX)),
-                3 => bench.node.node_mut().motion_mut().resume(),
+                3 => resume(&mut bench),
                 _ => {
                     stopped = true;
                     let halt = random.below(2) == 0;
@@ -340,19 +346,18 @@ fn random_moves_holds_and_stops_keep_position_and_count() {
                 }
             }
         }
-        bench.node.node_mut().motion_mut().resume();
+        resume(&mut bench);
         let what = format!("seed {seed}");
         if !stopped {
             bench.run_for(10_000_000);
             let status = bench.node.status();
             // Disturbed too often in a row, the register is a fault, and that a stop like any other;
-            // and nothing else is.
+            // nothing else is one.
             let disturbed = bench.node.shift_wrong_max() > u32::from(RETRIES_MAX);
             stopped = status.state == NodeState::Fault;
-            assert_eq!(stopped, disturbed, "{what}");
-            let codes: Vec<_> = status.faults.iter().map(|fault| fault.code).collect();
-            let expected = disturbed.then_some(FaultCode::SHIFT_REGISTER);
-            assert_eq!(codes, Vec::from_iter(expected), "{what}");
+            assert_eq!(stopped, disturbed, "{what}: {:?}", status.faults);
+            let is_told = |fault: &Fault| fault.code == FaultCode::SHIFT_REGISTER;
+            assert_eq!(status.faults.iter().any(is_told), disturbed, "{what}");
         }
         if stopped {
             bench.run_for(5_000_000);
