@@ -8,7 +8,7 @@ use bench::{
     motor::{Random, seeds, steps_of},
 };
 use emulator::EmulatorConfig;
-use keys::{AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode, pace::PaceMessage};
+use keys::{AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode};
 use motion::{SoftLimits, io::input::Switch};
 
 const X: AxisId = AxisId(0);
@@ -49,31 +49,6 @@ impl Bench {
     fn position(&self, axis: AxisId) -> i64 {
         self.node.status().axes[axis.index()].position_steps
     }
-
-    fn pace(&mut self, hold: bool) {
-        self.node
-            .handle(NodeTopic::Pace, &encoded(PaceMessage::Ask), self.now);
-        let told = self.node.outbox(self.now);
-        let told = told.iter().rfind(|out| out.topic == NodeTopic::Pace);
-        let told = keys::version::decode(&told.expect("it is asked").payload);
-        let Ok(PaceMessage::Told { boot, change, .. }) = told else {
-            panic!("{told:?}");
-        };
-        let set = PaceMessage::Set {
-            boot,
-            change,
-            hold: Some(hold),
-            percent: None,
-        };
-        self.node.handle(NodeTopic::Pace, &encoded(set), self.now);
-    }
-}
-
-fn encoded(message: PaceMessage) -> Vec<u8> {
-    let mut buffer = [0; 64];
-    keys::version::encode(&message, &mut buffer)
-        .expect("room")
-        .to_vec()
 }
 
 fn bench() -> Bench {
