@@ -3,20 +3,12 @@
 mod program;
 
 use keys::record::JobState;
-use program::{Ran, fleet};
-use std::{
-    io::{BufRead, BufReader, Read, Write},
-    net::{Ipv4Addr, TcpStream},
-    process::{Child, Stdio},
-    time::Duration,
-};
+use program::{Gateway, PATIENT, Ran, fleet};
+use std::{io::Read, net::Ipv4Addr, time::Duration};
 use tokio::net::TcpSocket;
 
 /// Far more than anything here takes; only a failure waits so long.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// The same as a program's option.
-const PATIENT: [&str; 2] = ["--timeout", "60"];
 
 fn verbs() -> Vec<&'static str> {
     let mut verbs = vec![
@@ -49,91 +41,6 @@ fn verbs() -> Vec<&'static str> {
         verbs.extend(["demo", "bench"]);
     }
     verbs
-}
-
-/// A gateway in a process of its own, ended with the test.
-struct Gateway {
-    process: Child,
-    connect: String,
-    http: String,
-    _store: tempfile::TempDir,
-}
-
-impl Gateway {
-    fn start() -> Self {
-        Self::run(std::process::Command::new(env!("CARGO_BIN_EXE_fleet")))
-    }
-
-    /// Runs it by a shell that lets no file grow beyond this.
-    #[cfg(unix)]
-    fn start_with_files_up_to(kib: u32) -> Self {
-        let mut shell = std::process::Command::new("bash");
-        // Ignored, the signal becomes an error of the write.
-        let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$0\" \"$@\"");
-        shell.args(["-c", &script, env!("CARGO_BIN_EXE_fleet")]);
-        Self::run(shell)
-    }
-
-    fn run(mut program: std::process::Command) -> Self {
-        let store = tempfile::tempdir().expect("a directory");
-        let mut process = program
-            .args([
-                "serve",
-                "--listen",
-                "tcp/127.0.0.1:0",
-                "--http",
-                "127.0.0.1:0",
-            ])
-            .args(["--json", "--store"])
-            .arg(store.path().join("fleet.redb"))
-            .env("RUST_LOG", "error")
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("started");
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().expect("piped"))
-            .read_line(&mut line)
-            .expect("a line");
-        let ready: serde_json::Value = serde_json::from_str(&line).expect("JSON");
-        let connect = ready["locators"][0].as_str().expect("text").to_owned();
-        let http = ready["http"].as_str().expect("text").to_owned();
-        Self {
-            process,
-            connect,
-            http,
-            _store: store,
-        }
-    }
-
-    fn fleet(&self, line: &[&str]) -> Ran {
-        fleet(&[line, &["--connect", &self.connect], &PATIENT].concat())
-    }
-}
-
-impl Gateway {
-    /// Asks by HTTP; returns status and body.
-    fn http(&self, path: &str) -> (u16, String) {
-        let mut socket = TcpStream::connect(&self.http).expect("connected");
-        let request = format!("GET {path} HTTP/1.1\r\nHost: fleet\r\nConnection: close\r\n\r\n");
-        socket.write_all(request.as_bytes()).expect("sent");
-        let mut answer = String::new();
-        socket.read_to_string(&mut answer).expect("UTF-8");
-        let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
-        let status = head
-            .split(' ')
-            .nth(1)
-            .and_then(|status| status.parse().ok());
-        (status.expect("a status"), body.to_owned())
-    }
-}
-
-impl Drop for Gateway {
-    fn drop(&mut self) {
-        // It may have ended by itself, and then the test has failed already.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
 }
 
 #[test]

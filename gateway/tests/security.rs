@@ -28,7 +28,7 @@ use keys::{
     credentials::Credentials,
     epoch,
     job::JobRequest,
-    record::{ErrorReply, JobRecord, NodeRecord},
+    record::{ErrorReply, JobRecord, NodeRecord, NodeWord},
     signed::{PROOF_BYTES_MAX, Proof},
     version,
 };
@@ -319,6 +319,12 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
     put(&bob, "fleet/group/g/job", "{}").await;
     put(&bob, "fleet/node/left/speed", "{\"percent\":50}").await;
     put(&bob, "fleet/node/left/hold", "").await;
+    let jog = json!({"axis": 0, "by": 1, "speed_hz": 500, "accel": 2_000});
+    let get = bob
+        .get("fleet/node/left/jog")
+        .payload(jog.to_string())
+        .timeout(PATIENCE);
+    let his_jog = in_time(get).await.expect("asked");
     put(&bob, "fleet/node/left/stop", "").await;
     until(&bob, "left", |record| record.stopped.is_some()).await;
     assert!(!job_exists(&alice, "bobs").await);
@@ -335,6 +341,19 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
         record.pace, None,
         "a speed survives a stop: his was never heard"
     );
+    // The node counts them: his was none.
+    let jogged = ask(&alice, "fleet/node/left/jog", Some(&jog)).await;
+    let jogged = jogged[0].as_ref().expect("an operator may");
+    assert_eq!(
+        (&jogged["jog"], &jogged["position"]),
+        (&json!(1), &json!(0))
+    );
+    while let Ok(Some(reply)) = his_jog.try_recv() {
+        assert!(reply.result().is_err(), "somebody has taken it");
+    }
+    let at_rest =
+        |record: &NodeRecord| record.state == NodeWord::Idle && record.position.first() == Some(&1);
+    until(&alice, "left", at_rest).await;
     for (word, hold) in [("hold", true), ("resume", false)] {
         let key = format!("fleet/node/left/{word}");
         let answers = ask(&alice, &key, None).await;

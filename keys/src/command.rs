@@ -161,8 +161,6 @@ impl Features {
     pub const CD: Self = Self(32);
     /// Hold, resume and speed for clients.
     pub const PACE: Self = Self(64);
-    /// `smooth_ramp`, `smooth_ramp_to`.
-    pub const SMOOTH: Self = Self(128);
     /// Jogging by hand.
     pub const JOG: Self = Self(256);
     /// Messages behind the epoch of their gateway, see [`crate::epoch`].
@@ -199,7 +197,6 @@ const _: () = {
         Features::LUA,
         Features::CD,
         Features::PACE,
-        Features::SMOOTH,
         Features::JOG,
         Features::EPOCH,
     ];

@@ -13,6 +13,11 @@
 //! What a node does is its own state: it counts the changes of it, by whomever, and takes only what
 //! was said in the knowledge of the last one. So nothing that comes late or twice lets a machine move.
 //! The node tells each change, and all of it when its link comes.
+//!
+//! Held while it homes an axis, a node brings that to rest by its own ramp, wherever it is on its way,
+//! and goes on from there: a switch that is reached meanwhile counts when it was reached, and the axis
+//! ends at the same place. It may be held as long as one likes; nothing runs out. A stop while it is held
+//! ends homing, and the axis is as unhomed as by any stop of it.
 
 use serde::{Deserialize, Serialize};
 

@@ -73,6 +73,9 @@ pub struct EmulatedNode {
     shift_due: Option<(LocalMicros, u32)>,
     /// The next so many words that are read back are wrong.
     shift_errors: u32,
+    /// So many words in a row have been wrong, and the most that ever were.
+    shift_wrong: u32,
+    shift_wrong_max: u32,
     lidar_readings: u64,
     recorded: Recorded,
     past: Vec<Life>,
@@ -129,6 +132,8 @@ impl EmulatedNode {
             lidar_due: None,
             shift_due: None,
             shift_errors: 0,
+            shift_wrong: 0,
+            shift_wrong_max: 0,
             lidar_readings: 0,
             recorded: Recorded::default(),
             past: Vec::new(),
@@ -304,6 +309,8 @@ impl EmulatedNode {
             self.shift_due = None;
             let wrong = self.shift_errors > 0;
             self.shift_errors = self.shift_errors.saturating_sub(1);
+            self.shift_wrong = if wrong { self.shift_wrong + 1 } else { 0 };
+            self.shift_wrong_max = self.shift_wrong_max.max(self.shift_wrong);
             let word = if wrong { !word } else { word };
             self.show(word, now);
             self.node.handle(now, Inbound::Shift { word });
@@ -335,6 +342,11 @@ impl EmulatedNode {
     /// Disturbs the shift register: the next so many words that are read back are wrong.
     pub fn disturb_shift(&mut self, words: u32) {
         self.shift_errors = words;
+    }
+
+    /// Returns the most words in a row that were read back wrong.
+    pub fn shift_wrong_max(&self) -> u32 {
+        self.shift_wrong_max
     }
 
     /// Returns when [`EmulatedNode::poll`] has something to do next.

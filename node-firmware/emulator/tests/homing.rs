@@ -354,6 +354,52 @@ fn held_at_any_instant_homing_goes_on_and_ends_at_the_same_place() {
         assert_eq!(bench.position(X), 200, "round {round}");
         bench.is_homed_at(X, -300);
         assert_eq!(bench.faults(), [], "round {round}");
+        bench.judged();
+    }
+}
+
+#[test]
+fn homing_is_held_for_as_long_as_a_client_likes_and_a_stop_meanwhile_leaves_the_axis_unhomed() {
+    for round in 0..30u64 {
+        let mut bench = Bench::new(machine());
+        // The place of the switch is known, and not any more once it is looked for again.
+        bench.order([HOME_X]);
+        bench.run_to_rest();
+        bench.order([HOME_X]);
+        bench.run_for(1_000 + round * 20_011);
+        if bench.node.status().executed_commands > 1 {
+            break;
+        }
+        bench.pace(true);
+        bench.run_for(300_000);
+        let held = (bench.position(X), bench.node.place_steps(X));
+        assert_eq!(
+            bench.node.status().state,
+            NodeState::Paused,
+            "round {round}"
+        );
+        // Nothing about it runs out: neither travel nor time counts on while it is held.
+        bench.run_for(60_000_000);
+        assert_eq!((bench.position(X), bench.node.place_steps(X)), held);
+        assert_eq!(bench.faults(), [], "round {round}");
+        if round % 2 == 0 {
+            bench.pace(false);
+            bench.ends_within(round, 3_000);
+            bench.is_homed_at(X, -300);
+            assert!(bench.node.node().motion().is_homed(X), "round {round}");
+        } else {
+            bench.stop(StopMode::Decelerate);
+            bench.run_for(1_000_000);
+            assert_eq!(
+                bench.node.status().state,
+                NodeState::Stopped,
+                "round {round}"
+            );
+            assert_eq!(bench.node.place_steps(X), held.1, "round {round}");
+            assert!(!bench.node.node().motion().is_homed(X), "round {round}");
+        }
+        assert_eq!(bench.faults(), [], "round {round}");
+        bench.judged();
     }
 }
 

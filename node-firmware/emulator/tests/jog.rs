@@ -8,7 +8,7 @@ use bench::{
     motor::{Random, seeds, steps_of},
 };
 use emulator::EmulatorConfig;
-use keys::{AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode, pace::PaceMessage};
+use keys::{AxisId, Command, LocalMicros, NodeState, NodeTopic, StopMode};
 use motion::{SoftLimits, io::input::Switch};
 
 const X: AxisId = AxisId(0);
@@ -49,31 +49,6 @@ impl Bench {
     fn position(&self, axis: AxisId) -> i64 {
         self.node.status().axes[axis.index()].position_steps
     }
-
-    fn pace(&mut self, hold: bool) {
-        self.node
-            .handle(NodeTopic::Pace, &encoded(PaceMessage::Ask), self.now);
-        let told = self.node.outbox(self.now);
-        let told = told.iter().rfind(|out| out.topic == NodeTopic::Pace);
-        let told = keys::version::decode(&told.expect("it is asked").payload);
-        let Ok(PaceMessage::Told { boot, change, .. }) = told else {
-            panic!("{told:?}");
-        };
-        let set = PaceMessage::Set {
-            boot,
-            change,
-            hold: Some(hold),
-            percent: None,
-        };
-        self.node.handle(NodeTopic::Pace, &encoded(set), self.now);
-    }
-}
-
-fn encoded(message: PaceMessage) -> Vec<u8> {
-    let mut buffer = [0; 64];
-    keys::version::encode(&message, &mut buffer)
-        .expect("room")
-        .to_vec()
 }
 
 fn bench() -> Bench {
@@ -184,6 +159,25 @@ fn speed_target_and_direction_change_in_flight() {
 }
 
 #[test]
+fn what_coasts_keeps_the_speed_of_its_ramp_also_at_the_end_of_it() {
+    // Steps by 40 Hz, and rest 22 ms behind the last one: that is no step of 45 Hz.
+    let mut bench = bench();
+    bench.jog(r#"{"axis":0,"to":27,"speed_hz":40,"accel":2032}"#);
+    while bench.position(X) < 27 {
+        bench.run_for(100);
+    }
+    bench.run_for(12_000);
+    bench.jog(r#"{"axis":0,"coast":true,"lease_ms":2000}"#);
+    bench.run_for(1_500_000);
+    let made = bench.position(X) - 27;
+    // It had slowed down to some 20 Hz.
+    assert!((20..40).contains(&made), "{made}");
+    bench.run_for(2_000_000);
+    assert_eq!(state(&bench), NodeState::Idle);
+    bench.judged();
+}
+
+#[test]
 fn axes_are_jogged_each_by_itself() {
     let mut bench = bench();
     bench.jog(r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000,"lease_ms":5000}"#);
@@ -199,6 +193,35 @@ fn axes_are_jogged_each_by_itself() {
     assert_eq!(state(&bench), NodeState::Idle);
     let stopped = bench.jog(r#"{"stop":true}"#);
     assert_eq!(stopped["moving"], false);
+    bench.judged();
+}
+
+#[test]
+fn an_axis_rests_behind_its_last_step_also_while_another_one_goes_on() {
+    let mut bench = bench();
+    bench.jog(r#"{"axis":1,"run":"forward","speed_hz":2000,"accel":5000,"lease_ms":5000}"#);
+    bench.jog(r#"{"axis":0,"run":"backward","speed_hz":5,"accel":7000,"lease_ms":5000}"#);
+    // Its steps are 200 ms apart: the next one is in the pulse hardware already.
+    while bench.position(X) > -2 {
+        bench.run_for(100);
+    }
+    bench.run_for(199_500);
+    bench.jog(r#"{"axis":0,"stop":true}"#);
+    let (mut told, mut ended_at) = (true, None);
+    for _ in 0..100 {
+        bench.run_for(100);
+        // The same question again changes nothing.
+        let answer = bench.jog(r#"{"axis":0,"stop":true}"#);
+        let moves = answer["moving"] == true;
+        if told && !moves {
+            ended_at = Some(answer["position"].clone());
+        }
+        told = moves;
+    }
+    assert_eq!(bench.position(X), -3);
+    assert_eq!(ended_at, Some(serde_json::json!(-3)));
+    bench.jog(r#"{"stop":true}"#);
+    bench.run_for(2_000_000);
     bench.judged();
 }
 
@@ -240,6 +263,29 @@ fn what_is_wrong_is_named_and_moves_nothing() {
 }
 
 const RUN: &str = r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000}"#;
+
+#[test]
+fn a_jog_that_is_taken_back_while_the_one_before_it_ends_is_over_when_that_rests() {
+    // At whatever time it comes: while the axis can be led elsewhere, when all of its rest is in the
+    // pulse hardware, when it rests.
+    for after_us in (1_000..3_000).step_by(20) {
+        let mut bench = bench();
+        bench.jog(RUN);
+        bench.run_for(8);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(after_us);
+        bench.jog(r#"{"axis":0,"to":-616,"speed_hz":7,"accel":284}"#);
+        bench.run_for(5);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(1_000_000);
+        assert_eq!(state(&bench), NodeState::Idle, "{after_us} µs");
+        // And the next one begins.
+        bench.jog(r#"{"axis":0,"to":-5,"speed_hz":100,"accel":1000}"#);
+        bench.run_for(1_000_000);
+        assert_eq!(bench.position(X), -5, "{after_us} µs");
+        bench.judged();
+    }
+}
 
 #[test]
 fn it_is_refused_while_a_job_runs_and_a_job_waits_until_it_rests() {

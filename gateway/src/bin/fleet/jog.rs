@@ -21,9 +21,9 @@ pub(crate) async fn jog(link: &Link, line: &Jog, json: bool) -> Result<(), Failu
         axis: line.axis,
         ..JogRequest::default()
     };
+    let stop = JogRequest { stop: true, ..bare };
     if line.stop {
-        let request = JogRequest { stop: true, ..bare };
-        return ask(link, line, &request, json).await.map(drop);
+        return ask(link, line, &stop, json).await.map(drop);
     }
     let by_step = line.step.map(|way| match way {
         JogWay::Forward => 1,
@@ -39,23 +39,40 @@ pub(crate) async fn jog(link: &Link, line: &Jog, json: bool) -> Result<(), Failu
         lease_ms: line.run.map(|_| line.lease),
         ..bare
     };
-    let jog = ask(link, line, &request, json).await?;
     if line.run.is_none() {
-        return Ok(());
+        return ask(link, line, &request, json).await.map(drop);
     }
+    // It counts from before the axis is told to move, and while an answer is on its way.
+    tokio::select! {
+        biased;
+        _ = tokio::signal::ctrl_c() => {}
+        failure = run(link, line, &request, json) => return Err(failure),
+    }
+    ask(link, line, &stop, json).await.map(drop)
+}
+
+/// Lets an axis run and renews that, until something is in the way.
+async fn run(link: &Link, line: &Jog, request: &JogRequest, json: bool) -> Failure {
+    let jog = match ask(link, line, request, json).await {
+        Ok(jog) => jog,
+        Err(failure) => return failure,
+    };
     let renew = JogRequest {
         renew: jog,
         ..JogRequest::default()
     };
-    let stop = JogRequest { stop: true, ..bare };
     let pause = Duration::from_millis(u64::from(line.lease)) / RENEWALS;
     loop {
-        tokio::select! {
-            _ = tokio::signal::ctrl_c() => return ask(link, line, &stop, json).await.map(drop),
-            () = tokio::time::sleep(pause) => {}
+        tokio::time::sleep(pause).await;
+        match send(link, line, &renew).await {
+            Ok(bytes) if json => crate::show::json_line(&bytes),
+            Ok(_) => {}
+            Err(Failure::Failed(Some(error))) => {
+                // By a stop, a limit, another hand, or because nobody was heard in time.
+                return Failure::Failed(Some(format!("the run has ended: {error}")));
+            }
+            Err(failure) => return failure,
         }
-        // Refused: it is over, by a stop, a limit, or another hand.
-        send(link, line, &renew).await?;
     }
 }
 
@@ -70,18 +87,28 @@ async fn ask(
     let receipt: JogReceipt<'_> = serde_json::from_slice(&bytes)
         .map_err(|error| Failure::Failed(Some(format!("{}: {error}", line.node))))?;
     if json {
-        crate::show::line(&String::from_utf8_lossy(&bytes));
+        crate::show::json_line(&bytes);
     } else {
-        let axis = receipt
-            .axis
-            .map_or("all axes".into(), |axis| format!("axis {axis}"));
-        let moves = if receipt.moving { "moves" } else { "rests" };
-        crate::show::line(&format!(
-            "{}, {axis}: {moves}, at {}",
-            line.node, receipt.position
-        ));
+        crate::show::line(&words(line, request, &receipt));
     }
     Ok(receipt.jog)
+}
+
+/// What a person reads of an answer.
+fn words(line: &Jog, request: &JogRequest, receipt: &JogReceipt<'_>) -> String {
+    let (node, at) = (&line.node, receipt.position);
+    let Some(axis) = receipt.axis else {
+        let what = if receipt.moving { "slow down" } else { "rest" };
+        return format!("{node}: all axes {what}");
+    };
+    match (request.stop, receipt.moving, request.run) {
+        (true, true, _) => format!("{node}, axis {axis}: slows down, at {at}"),
+        (_, false, _) => format!("{node}, axis {axis}: rests, at {at}"),
+        (false, true, Some(_)) => {
+            format!("{node}, axis {axis}: runs, from {at}; Ctrl-C brings it to rest")
+        }
+        (false, true, None) => format!("{node}, axis {axis}: moves, from {at}"),
+    }
 }
 
 async fn send(link: &Link, line: &Jog, request: &JogRequest) -> Result<Vec<u8>, Failure> {

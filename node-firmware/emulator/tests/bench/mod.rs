@@ -7,6 +7,7 @@ use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle, record::Life};
 use keys::{
     BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, StopMode,
     batch::{BatchWriter, ORDER_BYTES_MAX},
+    pace::PaceMessage,
 };
 
 /// A node in virtual time that is fed from a list as the gateway would: whenever there is room.
@@ -125,6 +126,25 @@ impl Bench {
         self.node.handle(NodeTopic::Batch, &bytes, self.now);
     }
 
+    /// Holds or resumes, as a gateway would that knows the node's last change.
+    pub(crate) fn pace(&mut self, hold: bool) {
+        self.node
+            .handle(NodeTopic::Pace, &encoded(PaceMessage::Ask), self.now);
+        let told = self.node.outbox(self.now);
+        let told = told.iter().rfind(|out| out.topic == NodeTopic::Pace);
+        let told = keys::version::decode(&told.expect("it is asked").payload);
+        let Ok(PaceMessage::Told { boot, change, .. }) = told else {
+            panic!("{told:?}");
+        };
+        let set = PaceMessage::Set {
+            boot,
+            change,
+            hold: Some(hold),
+            percent: None,
+        };
+        self.node.handle(NodeTopic::Pace, &encoded(set), self.now);
+    }
+
     pub(crate) fn judged(&self) -> Life {
         let life = self.node.life();
         if let Err(violations) = oracle::check_life(&life) {
@@ -133,4 +153,11 @@ impl Bench {
         }
         life
     }
+}
+
+fn encoded(message: PaceMessage) -> Vec<u8> {
+    let mut buffer = [0; 64];
+    keys::version::encode(&message, &mut buffer)
+        .expect("room")
+        .to_vec()
 }

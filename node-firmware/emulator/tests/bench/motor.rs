@@ -8,10 +8,20 @@ use keys::AxisId;
 /// Ticks of one second.
 pub(crate) const HZ: f64 = 16e6;
 
-/// Returns the seeds of a property: so many, or as many as the environment's `SEEDS` says.
+/// Returns the seeds of a property: so many, or what the environment's `SEEDS` says: as many
+/// (`1000`), or from one to before another (`453..454`).
 pub(crate) fn seeds(usual: u64) -> std::ops::Range<u64> {
-    let seeds = std::env::var("SEEDS").ok();
-    0..seeds.map_or(usual, |seeds| seeds.parse().expect("SEEDS is a number"))
+    let Ok(seeds) = std::env::var("SEEDS") else {
+        return 0..usual;
+    };
+    let number = |text: &str| {
+        text.parse()
+            .expect("SEEDS is a number, or two with .. between")
+    };
+    match seeds.split_once("..") {
+        Some((from, to)) => number(from)..number(to),
+        None => 0..number(&seeds),
+    }
 }
 
 /// Numbers that follow from a seed.

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     Direction, StepBackend, Ticks,
-    limits::CHANNELS,
+    limits::{CHANNELS, TICK_HZ},
     lookahead::Line,
     planner::{Left, Planner, Split, WAY_STEPS_MAX},
     real::Real,
@@ -97,13 +97,23 @@ impl<B: StepBackend> Motion<'_, B> {
             return Err(DriveError::Command(CommandError::Axis(axis)));
         }
         let leg = self.drives[index].and_then(|drive| drive.leg);
-        let speed_mhz = self.encoded_mhz[index];
-        let leg = leg.filter(|_| speed_mhz != 0).ok_or(DriveError::Still)?;
-        let way = Direction::of(i64::from(speed_mhz));
+        let started_at = self.started_at.0;
+        let channel = &self.backend.axes()[index];
+        // That of its ramp: the last interval before rest is none between steps.
+        let speed = self.planner.way_speed(index, channel, started_at);
+        // Rounded down: it may be the greatest that the driver allows.
+        let speed_mhz = speed.abs() * Real::of(1_000 * TICK_HZ) - Real::of(1).half();
+        let speed_mhz = u32::try_from(speed_mhz.rounded()).unwrap_or(0);
+        let leg = leg.filter(|_| speed_mhz > 0).ok_or(DriveError::Still)?;
+        let way = if speed.is_negative() {
+            Direction::Negative
+        } else {
+            Direction::Positive
+        };
         self.drive(
             axis,
             Target::Forever(way),
-            leg.how.at(speed_mhz.unsigned_abs(), self.share),
+            leg.how.at(speed_mhz, self.share),
         )
     }
 
@@ -192,7 +202,7 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     /// What was left of a way that rests is over.
-    fn settle_drives(&mut self) {
+    pub(super) fn settle_drives(&mut self) {
         if self.phase == Phase::Rest {
             for index in 0..self.axis_count {
                 if let Some(drive) = self.drives[index]

@@ -212,6 +212,7 @@ impl<B: StepBackend> Motion<'_, B> {
                     self.fault = Some(FaultCode::PLAN_LATE);
                 }
                 self.planner.rest();
+                self.settle_drives();
                 match self.hold {
                     Hold::None if self.is_driving() => return self.pass_drive(),
                     Hold::None => {}

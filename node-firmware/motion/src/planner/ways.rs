@@ -45,6 +45,8 @@ pub(super) struct Way {
     writing: usize,
     steps: Option<Steps<1>>,
     made: Made,
+    /// When the last stretch that was retired ends: it is encoded then, but has not been played.
+    retired_until: Option<u64>,
 }
 
 /// Where a way was left.
@@ -71,6 +73,7 @@ impl Way {
             at: 0,
             booked_steps: 0,
         },
+        retired_until: None,
     };
 
     /// Forgets where it leads.
@@ -78,6 +81,7 @@ impl Way {
         self.count = 0;
         self.writing = 0;
         self.steps = None;
+        self.retired_until = None;
     }
 
     /// Becomes as new: time begins anew.
@@ -97,6 +101,9 @@ impl Way {
     fn retire(&mut self, room: &mut [Option<Stretch>], encoded_ticks: u64) {
         let ended = |stretch: &&Stretch| stretch.end_ticks <= encoded_ticks;
         let done = self.all(room).take_while(ended).count().min(self.writing);
+        if let Some(last) = self.all(room).take(done).last() {
+            self.retired_until = Some(last.end_ticks);
+        }
         room.copy_within(done..self.count, 0);
         self.count -= done;
         self.writing -= done;
@@ -410,10 +417,10 @@ impl Planner {
         end.or(self.ways_rest_at)
     }
 
-    /// Returns when the way of an axis ends.
+    /// Returns when the way of an axis ends or has ended.
     pub(crate) fn way_end(&self, index: usize) -> Option<u64> {
-        let last = self.way(index).last();
-        last.map(|stretch| stretch.end_ticks)
+        let last = self.way(index).last().map(|stretch| stretch.end_ticks);
+        last.or(self.ways[index].retired_until)
     }
 
     /// Goes on with all ways, and with the rest of who has none, up to `until`.
@@ -453,9 +460,7 @@ impl Planner {
         started_at: u64,
         now: u64,
     ) -> Real {
-        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
-        let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
-        let Some(stretch) = self.way(index).find(under_way) else {
+        let Some((stretch, cut)) = self.under_way(index, axis, started_at) else {
             return Real::ZERO;
         };
         let path = stretch.path();
@@ -464,5 +469,26 @@ impl Planner {
         slower.come_to_rest(&stretch.line.law);
         let since = Real::of(now.saturating_sub(stretch.begin.ticks));
         slower.end_steps() - path.state_at(since).place
+    }
+
+    /// Returns the speed of an axis with sign, steps a tick, where its way can be changed now; 0 where it
+    /// rests.
+    pub(crate) fn way_speed(&self, index: usize, axis: &Axis, started_at: u64) -> Real {
+        let Some((stretch, cut)) = self.under_way(index, axis, started_at) else {
+            return Real::ZERO;
+        };
+        let since = Real::of(cut - stretch.begin.ticks);
+        let speed = stretch.path().state_at(since).speed;
+        match Direction::of(stretch.line.steps[index]) {
+            Direction::Positive => speed,
+            Direction::Negative => Real::ZERO - speed,
+        }
+    }
+
+    /// What an axis does when its way can be changed, and when that is; `None`: it rests.
+    fn under_way(&self, index: usize, axis: &Axis, started_at: u64) -> Option<(&Stretch, u64)> {
+        let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
+        let under_way = |stretch: &&Stretch| stretch.begin.ticks <= cut && cut < stretch.end_ticks;
+        Some((self.way(index).find(under_way)?, cut))
     }
 }
