@@ -28,8 +28,8 @@ mod psram;
 #[cfg(feature = "timers")]
 mod pwm;
 mod rmt;
-mod scripts;
 mod scout;
+mod scripts;
 mod serial;
 mod shift;
 mod stop_pin;
@@ -73,11 +73,8 @@ const FIRMWARE: [u8; 3] = [0, 1, 0];
 
 /// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM. On the ESP32-S3 it
 /// is what the boot loader leaves behind, which static data cannot have: 73,744 bytes.
-#[cfg(feature = "psram")]
+/// Without PSRAM the small ring lies in it, too.
 const HEAP_BYTES: usize = 72 * 1024;
-/// Without PSRAM it is what is left beside the axes: tight, for an image that checks the link.
-#[cfg(not(feature = "psram"))]
-const HEAP_BYTES: usize = 64 * 1024;
 
 /// Stack of the second core: planning a look-ahead of lines takes some 10 KiB, Lua's C calls the
 /// rest (`.ci/image-size` prints the largest frames).

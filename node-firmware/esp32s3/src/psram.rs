@@ -3,6 +3,7 @@
 //! The ring is read by the planning task only, never by the interrupt. What PSRAM is left over goes
 //! to the heap. The node's log says which it is.
 
+use alloc::vec::Vec;
 use core::sync::atomic::AtomicU32;
 use keys::command::COMMAND_WORDS;
 
@@ -13,10 +14,13 @@ pub(crate) const RING_COMMANDS: usize = 16_384;
 /// Commands that the ring holds in internal RAM: 8 KiB. The status tells it as credit.
 pub(crate) const SMALL_RING_COMMANDS: usize = 256;
 
-static SMALL_RING: [AtomicU32; SMALL_RING_COMMANDS * COMMAND_WORDS] =
-    [const { AtomicU32::new(0) }; SMALL_RING_COMMANDS * COMMAND_WORDS];
+/// Makes the small ring, from the heap: a board with PSRAM spares its memory.
+fn small_ring() -> &'static [AtomicU32] {
+    let words = (0..SMALL_RING_COMMANDS * COMMAND_WORDS).map(|_| AtomicU32::new(0));
+    words.collect::<Vec<_>>().leak()
+}
 
-/// Takes the PSRAM: ring first, the rest becomes heap.
+/// Takes the PSRAM: ring first, the rest becomes heap. The heap in internal RAM is there.
 #[cfg(feature = "psram")]
 pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'static [AtomicU32] {
     use esp_alloc::{HeapRegion, MemoryCapability};
@@ -27,7 +31,7 @@ pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'stat
     let ring_words = RING_COMMANDS * COMMAND_WORDS;
     let ring_bytes = ring_words * size_of::<AtomicU32>();
     if bytes < 2 * ring_bytes {
-        return &SMALL_RING;
+        return small_ring();
     }
     let words = start.cast::<AtomicU32>();
     for index in 0..ring_words {
@@ -47,8 +51,8 @@ pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'stat
     unsafe { core::slice::from_raw_parts(words, ring_words) }
 }
 
-/// Gives the small ring.
+/// Gives the small ring. The heap is there.
 #[cfg(not(feature = "psram"))]
 pub(crate) fn ring_memory() -> &'static [AtomicU32] {
-    &SMALL_RING
+    small_ring()
 }

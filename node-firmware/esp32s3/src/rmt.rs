@@ -14,7 +14,7 @@ use esp_hal::{
     gpio::{Flex, InputConfig, Level, OutputConfig, OutputSignal},
     handler,
     interrupt::Priority,
-    peripherals::{self, GPIO, RMT, SYSTIMER},
+    peripherals::{GPIO, RMT, SYSTIMER},
     ram,
     rmt::{Rmt, TxChannelConfig, TxChannelCreator},
     time::Rate,
@@ -203,7 +203,7 @@ impl Registers for Chip {
     fn counter(&self, axis: usize) -> Option<i16> {
         #[cfg(feature = "counters")]
         {
-            let counter = peripherals::PCNT::regs().u_cnt(axis).read();
+            let counter = esp_hal::peripherals::PCNT::regs().u_cnt(axis).read();
             Some(counter.cnt().bits() as i16)
         }
         #[cfg(not(feature = "counters"))]

@@ -14,7 +14,10 @@ use crate::{
     stop::Phase,
     trace::Event,
 };
-use alloc::string::{String, ToString};
+use alloc::{
+    collections::VecDeque,
+    string::{String, ToString},
+};
 use core::fmt::Write;
 use keys::{
     AxisId, LocalMicros, NodeTopic,
@@ -58,7 +61,8 @@ pub(crate) struct Jogs {
     last_number: u32,
     axes: [Option<Jog>; CHANNELS],
     /// Answers that wait for the link.
-    answers: heapless::Deque<(u32, Answer), JOG_ANSWERS_MAX>,
+    /// At most [`JOG_ANSWERS_MAX`].
+    answers: VecDeque<(u32, Answer)>,
 }
 
 impl Jogs {
@@ -135,15 +139,12 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
             return;
         };
         let answer = self.jog(now, request);
-        if self.jogs.answers.is_full() {
+        if self.jogs.answers.len() >= JOG_ANSWERS_MAX {
             self.jogs.answers.pop_front();
             self.trace.note(now, Event::ReplyDropped);
         }
-        // Cannot fail: there is room for one.
-        let _ = self
-            .jogs
-            .answers
-            .push_back((u32::from_le_bytes(*number), answer));
+        let number = u32::from_le_bytes(*number);
+        self.jogs.answers.push_back((number, answer));
     }
 
     /// Takes a request for a jog, JSON ([`JogRequest`]), and gives the answer, JSON too.

@@ -4,6 +4,7 @@
 //! dropped, and the gap in the numbers says so.
 
 use crate::{Node, Outputs, limits::TOLD_EVENTS_MAX};
+use alloc::collections::VecDeque;
 use keys::{
     JobId, LocalMicros,
     trace::{TraceEvent, TraceWord},
@@ -13,7 +14,8 @@ use motion::{StepBackend, TICKS_PER_US, Ticks};
 /// See the module.
 #[derive(Debug, Default)]
 pub(crate) struct Teller {
-    events: heapless::Deque<TraceEvent, TOLD_EVENTS_MAX>,
+    /// At most [`TOLD_EVENTS_MAX`], which most nodes never have: so on the heap.
+    events: VecDeque<TraceEvent>,
     number: u32,
     first_pulse_due: bool,
 }
@@ -40,7 +42,9 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         };
         self.teller.number = self.teller.number.wrapping_add(1);
         // Full: the number says that one is missing.
-        let _ = self.teller.events.push_back(event);
+        if self.teller.events.len() < TOLD_EVENTS_MAX {
+            self.teller.events.push_back(event);
+        }
     }
 
     /// Tells that something happened to the present job.
