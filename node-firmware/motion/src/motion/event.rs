@@ -54,24 +54,24 @@ pub enum MotionEvent {
         power_percent: u8,
     },
     /// The commands before have ended: a lidar reading is due. What follows waits for
-    /// [`Motion::take_lidar`] if the configuration says so.
+    /// [`Motion::take_lidar`](super::Motion::take_lidar) if the configuration says so.
     LidarRequest,
     /// It did not come in time; the queue goes on.
     LidarMissed,
-    /// The pulses had to rest although the job has more: see [`Motion::expect_more`].
+    /// The pulses had to rest although the job has more: see [`Motion::expect_more`](super::Motion::expect_more).
     Underrun,
     /// Everything that was accepted has ended.
     Rest,
     /// A stop is complete: the last pulse has left.
     Stopped,
-    /// Motion is held: see [`Motion::hold`].
+    /// Motion is held: see [`Motion::hold`](super::Motion::hold).
     Held,
-    /// A drive has come to rest: see [`Motion::drive`].
+    /// A drive has come to rest: see [`Motion::drive`](super::Motion::drive).
     DriveEnded {
         /// The axis.
         axis: AxisId,
     },
-    /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`].
+    /// Everything before a barrier has ended; it waits for [`Motion::release_barrier`](super::Motion::release_barrier).
     AtBarrier {
         /// Number of the barrier in the queue.
         command: u64,
@@ -88,7 +88,7 @@ pub enum MotionEvent {
         /// When; if nothing steps before the next barrier or the end, the instant of the release.
         first_edge_at: Ticks,
     },
-    /// An axis is at a limit. Told once; it goes on unless [`Motion::stop`] follows.
+    /// An axis is at a limit. Told once; it goes on unless [`Motion::stop`](super::Motion::stop) follows.
     Limit {
         /// The axis.
         axis: AxisId,
@@ -104,7 +104,7 @@ pub enum MotionEvent {
         /// Where it rests now.
         position_steps: i64,
     },
-    /// Homing failed: the queue does not go on without [`Motion::stop`].
+    /// Homing failed: the queue does not go on without [`Motion::stop`](super::Motion::stop).
     HomeFailed {
         /// The axis.
         axis: AxisId,
@@ -115,19 +115,19 @@ pub enum MotionEvent {
     },
     /// An enable output switches.
     Output(OutputChange),
-    /// The shift register is to show this word; [`Motion::take_shift`] takes what is read back.
+    /// The shift register is to show this word; [`Motion::take_shift`](super::Motion::take_shift) takes what is read back.
     ShiftOut {
         /// A bit for each pin.
         word: u32,
     },
     /// The shift register does not follow: nothing behind it is known to be on.
     ShiftFault(ShiftFault),
-    /// C or D did not arrive: the queue does not go on without [`Motion::stop`].
+    /// C or D did not arrive: the queue does not go on without [`Motion::stop`](super::Motion::stop).
     CdFailed {
         /// Why.
         error: CdError,
     },
-    /// The commands before have ended: [`Motion::status_cd`] is asked for.
+    /// The commands before have ended: [`Motion::status_cd`](super::Motion::status_cd) is asked for.
     StatusCd,
     /// A stop input changed.
     StopInput {
