@@ -35,7 +35,7 @@ const fn case(
     }
 }
 
-const CASES: [Case; 32] = [
+const CASES: [Case; 37] = [
     case(
         "motor.queue_move",
         "motor.queue_move(0, 100, 300) motor.queue_move(1, 200, -20) wait_idle() return motor.get_position(0)",
@@ -210,6 +210,36 @@ const CASES: [Case; 32] = [
         "motor.queue_move(0, 100, 50) wait_idle() return motor.get_position(0), motor.get_queue_depth()",
         "[50,0]",
         [50, 0],
+    ),
+    case(
+        "motor.drive_to",
+        "motor.drive_to(0, -300, 1500, 8000) motor.drive_to(1, 40, 500, 8000) while motor.is_driven(0) or motor.is_driven(1) do sleep(10) end return motor.get_position(0)",
+        "-300",
+        [-300, 40],
+    ),
+    case(
+        "motor.drive_by",
+        "motor.drive_by(0, 100, 1500, 8000) motor.drive_by(0, 50, 2000, 8000, {jerk = 80000}) while motor.is_driven(0) do sleep(10) end return motor.get_position(0)",
+        "150",
+        [150, 0],
+    ),
+    case(
+        "motor.run",
+        "motor.run(0, -1, 1000, 8000) sleep(500) local at = motor.get_position(0) motor.drive_to(0, 30, 2000, 8000) while motor.is_driven(0) do sleep(10) end return at < -300",
+        "true",
+        [30, 0],
+    ),
+    case(
+        "motor.end_drive",
+        "motor.run(0, 1, 1000, 8000) sleep(300) motor.end_drive(0) while motor.is_driven(0) do sleep(10) end local at = motor.get_position(0) sleep(500) local rests = at == motor.get_position(0) motor.drive_to(0, 7, 2000, 8000) while motor.is_driven(0) do sleep(10) end return rests",
+        "true",
+        [7, 0],
+    ),
+    case(
+        "motor.is_driven",
+        "motor.drive_by(1, 20, 500, 8000) local one, other = motor.is_driven(1), motor.is_driven(0) while motor.is_driven(1) do sleep(10) end return one, other, motor.is_driven(1)",
+        "[true,false,false]",
+        [0, 20],
     ),
     // The two below end otherwise, or need others: see the tests of their own.
     case("motor.emergency_stop", "return 0", "0", [0, 0]),
