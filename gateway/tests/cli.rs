@@ -4,7 +4,7 @@ mod program;
 
 use keys::record::JobState;
 use program::{Gateway, PATIENT, Ran, fleet};
-use std::{io::Read, net::Ipv4Addr, time::Duration};
+use std::{net::Ipv4Addr, time::Duration};
 use tokio::net::TcpSocket;
 
 /// Far more than anything here takes; only a failure waits so long.

@@ -178,6 +178,31 @@ fn what_coasts_keeps_the_speed_of_its_ramp_also_at_the_end_of_it() {
 }
 
 #[test]
+fn an_axis_that_was_left_within_a_step_goes_on_no_faster_than_it_may() {
+    const SLOW: &str = r#"{"axis":0,"run":"forward","speed_hz":3,"accel":213,"lease_ms":9000}"#;
+    // It rests 12 ms after the stop, at any part of a step.
+    for (stop_ms, again_ms) in [(10, 0), (60, 5), (60, 11), (60, 20), (120, 90), (150, 20)] {
+        let mut bench = bench();
+        bench.jog(SLOW);
+        while bench.position(X) < 2 {
+            bench.run_for(1_000);
+        }
+        bench.run_for(stop_ms * 1_000);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(again_ms * 1_000);
+        bench.jog(SLOW);
+        bench.run_for(2_000_000);
+        bench.jog(r#"{"axis":0,"stop":true}"#);
+        bench.run_for(1_000_000);
+        let life = bench.judged();
+        for pair in steps_of(&life, X).windows(2) {
+            let hz = 1.0 / (pair[1].0 - pair[0].0);
+            assert!(hz < 3.001, "{stop_ms} ms, {again_ms} ms: {hz} Hz");
+        }
+    }
+}
+
+#[test]
 fn axes_are_jogged_each_by_itself() {
     let mut bench = bench();
     bench.jog(r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000,"lease_ms":5000}"#);

@@ -47,6 +47,32 @@ pub(super) struct Way {
     made: Made,
     /// When the last stretch that was retired ends: it is encoded then, but has not been played.
     retired_until: Option<u64>,
+    /// Where it was left, it rests short of a whole step.
+    short: Option<Short>,
+}
+
+/// What an axis that has come to rest within a step counts as made, and has not gone. If it goes on the
+/// same way, it takes its time for that, too: its steps would come faster than it may.
+#[derive(Clone, Copy, Debug)]
+struct Short {
+    /// At rest since, ticks.
+    at: u64,
+    /// Booked steps there.
+    base_steps: i64,
+    direction: Direction,
+    /// Steps, less than one.
+    steps: Real,
+}
+
+impl Short {
+    /// Returns when it would be there at this speed, steps a tick; 0 if that is not its way.
+    fn made_at(&self, base_steps: i64, direction: Direction, speed: Real) -> u64 {
+        if (self.base_steps, self.direction) != (base_steps, direction) {
+            return 0;
+        }
+        let ticks = (self.steps / speed).rounded();
+        self.at.saturating_add(u64::try_from(ticks).unwrap_or(0))
+    }
 }
 
 /// Where a way was left.
@@ -74,6 +100,7 @@ impl Way {
             booked_steps: 0,
         },
         retired_until: None,
+        short: None,
     };
 
     /// Forgets where it leads.
@@ -87,6 +114,7 @@ impl Way {
     /// Becomes as new: time begins anew.
     pub(super) fn reset(&mut self) {
         self.clear();
+        self.short = None;
         self.made = Self::NONE.made;
     }
 
@@ -292,6 +320,10 @@ impl Planner {
             let jump = u64::from(jump_steps).min(line.major_steps);
             from.speed = line.law.jump_speed(Real::of(jump)).min(line.speed_max);
         }
+        let direction = Direction::of(line.steps[index]);
+        let short = self.ways[index].short;
+        let made_at = short.map(|short| short.made_at(base_steps, direction, line.speed_max));
+        let begin = begin.max(made_at.unwrap_or(0));
         let mut all_steps = [0; CHANNELS];
         all_steps[index] = base_steps;
         let mut stretch = Stretch {
@@ -395,6 +427,14 @@ impl Planner {
             true => sign * path.end_steps().rounded(),
             false => line.steps[index],
         };
+        let base_steps = split.base_steps[index] + made;
+        let steps = Real::of_signed(sign * made) - path.end_steps();
+        self.ways[index].short = (to_rest && !steps.is_negative()).then_some(Short {
+            at: stretch.end_ticks,
+            base_steps,
+            direction: Direction::of(sign),
+            steps,
+        });
         (stretch.end_ticks, made)
     }
 
