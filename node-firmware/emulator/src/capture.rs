@@ -311,6 +311,7 @@ impl Capture {
                 })
                 .collect(),
             stops: Vec::new(),
+            cancels: Vec::new(),
             edges: self.edges,
             inputs: Vec::new(),
             holds: Vec::new(),

@@ -115,6 +115,8 @@ pub struct Life {
     pub commands: Vec<TakenCommand>,
     /// How each queue that was dropped ended, in order.
     pub stops: Vec<StopReport>,
+    /// Cancels of a queue that the node was given while that was its own, and when.
+    pub cancels: Vec<(QueueId, LocalMicros)>,
     /// Every change of a pin, in order of time.
     pub edges: Vec<PinEvent>,
     /// Every change of an input, in order of time.

@@ -49,3 +49,27 @@ fn a_queue_that_begins_at_once_behind_a_halt_turns_no_sooner_than_the_driver_all
         }
     }
 }
+
+#[test]
+fn a_stop_that_overrides_a_cancel_finds_the_axis_slowing_down_already() {
+    for later_us in 0..3_000 {
+        let mut config = EmulatorConfig::new(NodeId::new("bench").expect("legal"));
+        config.record = Recording::Edges { max: 100_000 };
+        let mut node = EmulatedNode::new(config, 7);
+        give(&mut node, -1_000, LocalMicros(1_000));
+        let order = Order::Cancel {
+            queue: node.status().queue,
+            mode: StopMode::Decelerate,
+        };
+        let mut buffer = [0; 64];
+        let cancel = keys::version::encode(&order, &mut buffer).expect("room");
+        node.handle(NodeTopic::Batch, cancel, LocalMicros(2_000));
+        let stop = br#"{"mode":"decelerate"}"#;
+        node.handle(NodeTopic::Stop, stop, LocalMicros(2_000 + later_us));
+        node.poll(LocalMicros(1_000_000));
+        if let Err(violations) = oracle::check_life(&node.life()) {
+            let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
+            panic!("stopped {later_us} µs later: {}", lines.join("; "));
+        }
+    }
+}

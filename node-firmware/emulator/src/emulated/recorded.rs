@@ -6,7 +6,7 @@ use crate::{
     pins::PinEvent,
     record::{Driven, Held, InputEdge, Life, TakenCommand},
 };
-use keys::{AxisId, BatchReader, LocalMicros, Order, StopReport, epoch, signed::Proof};
+use keys::{AxisId, BatchReader, LocalMicros, Order, QueueId, StopReport, epoch, signed::Proof};
 use motion::{TICKS_PER_US, io::input::PinLevel};
 use std::mem;
 
@@ -15,6 +15,7 @@ use std::mem;
 pub(super) struct Recorded {
     pub(super) commands: Vec<TakenCommand>,
     pub(super) stops: Vec<StopReport>,
+    pub(super) cancels: Vec<(QueueId, LocalMicros)>,
     pub(super) edges: Vec<PinEvent>,
     pub(super) inputs: Vec<InputEdge>,
     pub(super) holds: Vec<Held>,
@@ -32,6 +33,7 @@ impl Recorded {
             axis_count,
             commands: self.commands,
             stops: self.stops,
+            cancels: self.cancels,
             edges: self.edges,
             inputs: self.inputs,
             holds: self.holds,
@@ -61,12 +63,13 @@ impl EmulatedNode {
         mem::take(&mut self.recorded).into_life(&self.node, &self.config)
     }
 
-    /// Notes the commands that went into the ring, now that it has more than `accepted_before`.
+    /// Notes the commands that went into the ring, if it has more than `accepted_before` now, and a
+    /// cancel that has not come to its end.
     pub(super) fn record_taken(&mut self, payload: &[u8], accepted_before: u64, now: LocalMicros) {
         let Recording::Edges { max } = self.config.record else {
             return;
         };
-        if self.recorded.cut || self.node.motion().accepted_commands() == accepted_before {
+        if self.recorded.cut {
             return;
         }
         // Who says it and who signs it is not for the judge of pulses.
@@ -76,9 +79,18 @@ impl EmulatedNode {
         else {
             return;
         };
-        let Order::Batch(header) = *reader.order() else {
-            return;
+        let header = match *reader.order() {
+            Order::Batch(header) => header,
+            Order::Cancel { queue, .. } if queue == self.node.queue() => {
+                self.recorded.cancels.push((queue, now));
+                self.recorded.cut |= self.recorded.cancels.len() > max;
+                return;
+            }
+            _ => return,
         };
+        if self.node.motion().accepted_commands() == accepted_before {
+            return;
+        }
         if self.recorded.commands.len() + usize::from(header.command_count) > max {
             self.recorded.cut = true;
             return;

@@ -130,6 +130,8 @@ impl Judge<'_> {
 
     fn read_queue(&mut self, life: &Life, queue: QueueId, commands: &[TakenCommand], until: u64) {
         let stop = life.stops.iter().find(|stop| stop.queue == queue);
+        let stop = stop.map(|stop| since_cancel(life, stop));
+        let stop = stop.as_ref();
         let reached = match stop {
             Some(stop) => stop.executed_commands,
             None if life.status.queue == queue => life.status.executed_commands,
@@ -464,5 +466,17 @@ impl Judge<'_> {
                 format!("a gap of {ticks:.1} ticks before command {number}"),
             );
         }
+    }
+}
+
+/// A stop overrides a cancel, and is reported with its own instant; but what was canceled slows down
+/// since the cancel.
+fn since_cancel(life: &Life, stop: &StopReport) -> StopReport {
+    let cancels = life.cancels.iter();
+    let canceled = cancels.filter(|(queue, _)| *queue == stop.queue);
+    let first = canceled.map(|(_, at)| *at).min();
+    StopReport {
+        at: first.map_or(stop.at, |at| at.min(stop.at)),
+        ..stop.clone()
     }
 }
