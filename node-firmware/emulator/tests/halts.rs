@@ -7,11 +7,11 @@ use keys::{
     batch::{BatchWriter, ORDER_BYTES_MAX},
 };
 
-fn give(node: &mut EmulatedNode, steps: i32, now: LocalMicros) {
+fn give(node: &mut EmulatedNode, delay_us: u32, steps: i32, now: LocalMicros) {
     let mut writer = BatchWriter::new();
     assert!(writer.push(&Command::Move {
         axis: AxisId(0),
-        delay_us: 10,
+        delay_us,
         steps,
     }));
     let header = BatchHeader {
@@ -32,7 +32,7 @@ fn a_queue_that_begins_at_once_behind_a_halt_turns_no_sooner_than_the_driver_all
         let mut config = EmulatorConfig::new(NodeId::new("bench").expect("legal"));
         config.record = Recording::Edges { max: 100_000 };
         let mut node = EmulatedNode::new(config, 7);
-        give(&mut node, -1_000, LocalMicros(1_000));
+        give(&mut node, 10, -1_000, LocalMicros(1_000));
         let at = LocalMicros(halt_us);
         let order = Order::Cancel {
             queue: node.status().queue,
@@ -41,7 +41,7 @@ fn a_queue_that_begins_at_once_behind_a_halt_turns_no_sooner_than_the_driver_all
         let mut buffer = [0; 64];
         let cancel = keys::version::encode(&order, &mut buffer).expect("room");
         node.handle(NodeTopic::Batch, cancel, at);
-        give(&mut node, 100, at);
+        give(&mut node, 10, 100, at);
         node.poll(LocalMicros(1_000_000));
         if let Err(violations) = oracle::check_life(&node.life()) {
             let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
@@ -56,7 +56,7 @@ fn a_stop_that_overrides_a_cancel_finds_the_axis_slowing_down_already() {
         let mut config = EmulatorConfig::new(NodeId::new("bench").expect("legal"));
         config.record = Recording::Edges { max: 100_000 };
         let mut node = EmulatedNode::new(config, 7);
-        give(&mut node, -1_000, LocalMicros(1_000));
+        give(&mut node, 161, -100, LocalMicros(1_000));
         let order = Order::Cancel {
             queue: node.status().queue,
             mode: StopMode::Decelerate,
