@@ -211,6 +211,34 @@ fn known(seed: u64) -> (ClockTrack, Crystal, Chance, f64) {
 }
 
 #[test]
+fn a_first_block_in_a_storm_of_nodes_that_connect_is_forgotten_with_the_next_one() {
+    for seed in 1..=30 {
+        let mut chance = Chance::new(seed);
+        let mut crystal = Crystal::new(&mut chance);
+        let mut track = ClockTrack::new();
+        let mut at_us = 0.0;
+        while at_us < 8e6 {
+            crystal.go_to(at_us, &mut chance);
+            let storm_us = if track.is_locked() { 0.0 } else { 400e3 };
+            let delay_us =
+                |chance: &mut Chance| 100.0 + chance.exponential(100.0) + storm_us * chance.unit();
+            let (stamps, back_us) = probe(&crystal, at_us, &mut chance, &delay_us);
+            track.observe(1, stamps);
+            at_us = back_us.max(at_us + track.probe_period_us() as f64);
+        }
+        let estimate = track.estimate(fleet(at_us)).expect("known");
+        let told_us = estimate.local.0 as f64 + estimate.fraction_us;
+        let error_us = (told_us - crystal.local_us(at_us)).abs();
+        let claim_us = estimate.error_us;
+        assert!(
+            claim_us < 1_000.0,
+            "seed {seed}: ± {claim_us} µs is claimed"
+        );
+        assert!(error_us <= claim_us, "seed {seed}: {error_us} > {claim_us}");
+    }
+}
+
+#[test]
 fn a_clock_that_jumps_or_boots_is_locked_afresh() {
     for (boot, ahead_us) in [(1, 5e6), (1, -2e6), (2, 1e9)] {
         let (mut track, mut crystal, mut chance, mut at_us) = known(7);

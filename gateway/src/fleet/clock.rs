@@ -47,6 +47,12 @@ pub const RATE_PRIOR_PPM: f64 = 50.0;
 /// Random walk of a crystal's rate over one second, ppm (temperature).
 pub const WANDER_PPM_PER_SQRT_S: f64 = 0.03;
 
+/// How much more than a block says of itself the blocks before it may say of its point, as a factor of
+/// the variance. When many nodes connect at once, the first blocks of some are a thousand times worse
+/// than all that follow; a block that is eight times better than usual by chance is rarer than one in
+/// a thousand.
+pub const CALM_FACTOR: f64 = 64.0;
+
 /// Share of the shortest round trip that may be constant asymmetry.
 pub const ASYMMETRY_SHARE: f64 = 0.05;
 
@@ -421,6 +427,8 @@ impl ClockTrack {
             }
             Some(line) => {
                 self.point_variance += (variance - self.point_variance) / 4.0;
+                let calm = CALM_FACTOR * (variance + point_floor);
+                self.point_variance = self.point_variance.min(calm);
                 let mut line = line.at(middle_s);
                 line.take(
                     theta_us,
