@@ -53,6 +53,10 @@ pub const WANDER_PPM_PER_SQRT_S: f64 = 0.03;
 /// a thousand.
 pub const CALM_FACTOR: f64 = 64.0;
 
+/// Share of one node in the time of all probes, µs: 2,000 probes a second at most, however many nodes
+/// there are. Up to 40 nodes are locked as quickly as can be, up to 200 probed as often as one alone.
+pub const PROBE_SHARE_US: u64 = 500;
+
 /// Share of the shortest round trip that may be constant asymmetry.
 pub const ASYMMETRY_SHARE: f64 = 0.05;
 

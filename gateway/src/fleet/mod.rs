@@ -389,6 +389,7 @@ impl Fleet {
         act: impl FnOnce(&mut Node, &mut Turn<'_>),
     ) {
         let started_at = self.started_at.unwrap_or(self.now);
+        let probe_us_min = self.nodes.len() as u64 * clock::PROBE_SHARE_US;
         let Some(node) = self.nodes.get_mut(&id) else {
             return;
         };
@@ -400,6 +401,7 @@ impl Fleet {
             effects,
             released: Vec::new(),
             may_probe: self.may_probe,
+            probe_us_min,
         };
         act(node, &mut turn);
         node.poll(&mut turn);

@@ -298,7 +298,8 @@ impl Node {
             self.probes.pop_front();
         }
         self.probes.push_back((probe.probe, probe.sent_at));
-        self.probe_at = Some(turn.now.plus_us(self.clock.probe_period_us()));
+        let period_us = self.clock.probe_period_us().max(turn.probe_us_min);
+        self.probe_at = Some(turn.now.plus_us(period_us));
         let mut buffer = [0; 64];
         let bytes = keys::version::encode(&ClockMessage::Probe(probe), &mut buffer)
             .expect("a probe has at most 17 bytes");

@@ -21,6 +21,9 @@ pub(in crate::fleet) struct Turn<'t> {
     pub(in crate::fleet) released: Vec<Released>,
     /// A clock probe may leave: its stamp is `now`, and a second one would leave later.
     pub(in crate::fleet) may_probe: bool,
+    /// Shortest time from one probe of a node to the next, so that all together do not flood the gateway,
+    /// µs.
+    pub(in crate::fleet) probe_us_min: u64,
 }
 
 /// What became of a get on `release`, `hold`, `resume` or `speed`.
