@@ -85,6 +85,15 @@ fn what_is_wrong_with_a_script_is_in_the_record_with_its_line() {
         assert_eq!(error.code, ErrorCode::BadCommand);
         assert!(error.message.contains(words), "{error}");
     }
+    let text = "local function deeper()\n  error('broken')\nend\ndeeper()";
+    let record = run(&mut world, &json!({"id": "deep", "lua": text}));
+    let message = record.error.expect("an error").message;
+    let (_, way) = message
+        .split_once("stack traceback:")
+        .expect("how it came there");
+    for place in ["deep:2: in", "deep:4: in main chunk"] {
+        assert!(way.contains(place), "{place}: {message}");
+    }
     let record = run(
         &mut world,
         &json!({"id": "long", "lua": format!("return 7 --{}", "x".repeat(60_000))}),
