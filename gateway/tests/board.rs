@@ -2,71 +2,15 @@
 //! other firmware by `fleet update` over real zenoh.
 #![cfg(all(feature = "demo", unix))]
 
-use assert_cmd::Command;
+mod program;
+
 use emulator::{EmulatedHandle, EmulatorConfig, board::EmulatedBoard, flash::Flash};
 use keys::NodeId;
-use std::{
-    io::{BufRead, BufReader},
-    path::Path,
-    process::{Child, Stdio},
-    time::Duration,
-};
+use program::{Gateway, Ran, fleet};
+use std::{path::Path, time::Duration};
 
 /// Far more than anything here takes; only a failure waits so long.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A gateway in a process of its own, ended with the test.
-struct Gateway {
-    process: Child,
-    connect: String,
-    _store: tempfile::TempDir,
-}
-
-impl Gateway {
-    fn start() -> Self {
-        let store = tempfile::tempdir().expect("a directory");
-        let mut process = std::process::Command::new(env!("CARGO_BIN_EXE_fleet"))
-            .args(["serve", "--listen", "tcp/127.0.0.1:0", "--json", "--store"])
-            .arg(store.path().join("fleet.redb"))
-            .env("RUST_LOG", "error")
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("started");
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().expect("piped"))
-            .read_line(&mut line)
-            .expect("a line");
-        let ready: serde_json::Value = serde_json::from_str(&line).expect("JSON");
-        let connect = ready["locators"][0].as_str().expect("text").to_owned();
-        Self {
-            process,
-            connect,
-            _store: store,
-        }
-    }
-}
-
-impl Drop for Gateway {
-    fn drop(&mut self) {
-        // It may have ended by itself, and then the test has failed already.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
-fn fleet(line: &[&str]) -> (Option<i32>, String, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_fleet"))
-        .args(line)
-        .timeout(Duration::from_secs(120))
-        .output()
-        .expect("started");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    (
-        output.status.code(),
-        text(output.stdout),
-        text(output.stderr),
-    )
-}
 
 fn image(version: &str) -> Vec<u8> {
     let mut image = vec![0x5a; 40_000];
@@ -102,12 +46,12 @@ fn a_node_runs_the_signed_image_and_refuses_every_other_one() {
     let file = |name: &str| files.path().join(name);
     let (key, thief) = (file("update.key"), file("thief.key"));
     for key in [&key, &thief] {
-        let (code, out, err) = fleet(&["update-key", path(key)]);
+        let Ran { code, out, err } = fleet(&["update-key", path(key)]);
         assert_eq!(code, Some(0), "{err}");
         let secret = std::fs::read_to_string(key).expect("written");
         assert!(!out.contains(secret.trim()), "the secret is not shown");
     }
-    let (code, _, err) = fleet(&["update-key", path(&key)]);
+    let Ran { code, err, .. } = fleet(&["update-key", path(&key)]);
     assert_eq!(
         code,
         Some(2),
@@ -122,7 +66,7 @@ fn a_node_runs_the_signed_image_and_refuses_every_other_one() {
     let update = |line: &[&str]| {
         fleet(&[&["update", "left"], line, &["--connect", &gateway.connect]].concat())
     };
-    let (code, out, err) = update(&[]);
+    let Ran { code, out, err } = update(&[]);
     assert_eq!(
         (code, out.trim()),
         (Some(0), "left runs 0.1.0 in slot 0"),
@@ -131,16 +75,16 @@ fn a_node_runs_the_signed_image_and_refuses_every_other_one() {
 
     let new = file("new.bin");
     std::fs::write(&new, image("2.3.4")).expect("written");
-    let (code, _, err) = update(&[path(&new), "--key", path(&thief)]);
+    let Ran { code, err, .. } = update(&[path(&new), "--key", path(&thief)]);
     assert_eq!(code, Some(1));
     assert!(err.contains("not signed with the key"), "{err}");
     let elf = file("elf");
     std::fs::write(&elf, b"\x7fELF").expect("written");
-    let (code, _, err) = update(&[path(&elf), "--key", path(&key)]);
+    let Ran { code, err, .. } = update(&[path(&elf), "--key", path(&key)]);
     assert_eq!(code, Some(2));
     assert!(err.contains("espflash save-image"), "{err}");
 
-    let (code, out, err) = update(&[path(&new), "--key", path(&key), "--json"]);
+    let Ran { code, out, err } = update(&[path(&new), "--key", path(&key), "--json"]);
     assert_eq!(code, Some(0), "{err}");
     let said: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(said["firmware"], "2.3.4", "{said}");
@@ -151,7 +95,7 @@ fn a_node_runs_the_signed_image_and_refuses_every_other_one() {
     // The file has it: another process goes on with what was kept.
     let flash = Flash::open(&file("flash.bin")).expect("a file");
     let node = spawn(&gateway, flash, &file("update.pub"));
-    let (code, out, err) = update(&[]);
+    let Ran { code, out, err } = update(&[]);
     assert_eq!(
         (code, out.trim()),
         (Some(0), "left runs 2.3.4 in slot 1"),
@@ -170,7 +114,7 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let file = |name: &str| files.path().join(name);
     let base = || EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
     let nodes = || {
-        let (_, out, err) = fleet(&["nodes", "--json", "--connect", &gateway.connect]);
+        let Ran { out, err, .. } = fleet(&["nodes", "--json", "--connect", &gateway.connect]);
         let lines = out.lines().map(serde_json::from_str);
         let nodes: Vec<serde_json::Value> = lines.collect::<Result<_, _>>().expect("JSON");
         (nodes, err)
@@ -194,11 +138,11 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let flash = Flash::open(&file("flash.bin")).expect("a file");
     let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
     // Nobody has told it anything: there is no node that could move.
-    let (code, out, err) = fleet(&["provision", board.port()]);
+    let Ran { code, out, err } = fleet(&["provision", board.port()]);
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("name        none"), "{out}");
     assert_eq!(nodes().0, Vec::<serde_json::Value>::new());
-    let (code, _, _) = fleet(&["provision", board.port(), "--name", "left"]);
+    let Ran { code, .. } = fleet(&["provision", board.port(), "--name", "left"]);
     assert_eq!(code, Some(1), "without a network it is not complete");
 
     let secret = file("wifi.txt");
@@ -214,7 +158,7 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
         &gateway.connect,
         "--restart",
     ];
-    let (code, out, err) = fleet(&[&["provision", board.port()], &told[..]].concat());
+    let Ran { code, out, err } = fleet(&[&["provision", board.port()], &told[..]].concat());
     assert_eq!(code, Some(0), "{err}");
     assert!(!out.contains(SECRET) && !err.contains(SECRET));
     wait_for("left", true);
@@ -223,7 +167,7 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     std::fs::write(&job, text).expect("written");
     let play = || {
         let line = ["submit", path(&job), "--node", "left", "--wait"];
-        let (code, _, err) = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
+        let Ran { code, err, .. } = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
         assert_eq!(code, Some(0), "{err}");
     };
     play();
@@ -235,7 +179,7 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
     wait_for("left", true);
     play();
-    let (code, out, err) = fleet(&["provision", board.port(), "--json"]);
+    let Ran { code, out, err } = fleet(&["provision", board.port(), "--json"]);
     assert_eq!(code, Some(0), "{err}");
     let said: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(said["node"], "left");

@@ -175,6 +175,15 @@ G0 Z0
 M2
 ";
 
+/// Asserts that all of these are in a text, one behind the other.
+fn assert_in_order(text: &str, words: &[&str]) {
+    let places: Vec<Option<usize>> = words.iter().map(|word| text.find(word)).collect();
+    assert!(
+        places.iter().all(Option::is_some) && places.is_sorted(),
+        "{text}"
+    );
+}
+
 #[test]
 fn a_part_in_gcode_is_checked_made_and_accounted_for() {
     let plant = Plant::start(&[]);
@@ -237,12 +246,7 @@ fn a_part_in_gcode_is_checked_made_and_accounted_for() {
         "last pulse is out",
         "succeeded [0, 0, 0]",
     ];
-    let places: Vec<Option<usize>> = events.iter().map(|event| ran.out.find(event)).collect();
-    assert!(
-        places.iter().all(Option::is_some) && places.is_sorted(),
-        "{}",
-        ran.out
-    );
+    assert_in_order(&ran.out, &events);
     nodes.end();
 }
 
@@ -757,11 +761,6 @@ fn a_program_waits_at_m0_until_somebody_resumes_it() {
         "goes on",
         "last pulse is out",
     ];
-    let places: Vec<Option<usize>> = events.iter().map(|event| ran.out.find(event)).collect();
-    assert!(
-        places.iter().all(Option::is_some) && places.is_sorted(),
-        "{}",
-        ran.out
-    );
+    assert_in_order(&ran.out, &events);
     nodes.end();
 }

@@ -60,6 +60,30 @@ fn sign(rig: &mut Rig, signer: &Signer, mut job: Value, number: u64) -> Value {
     job
 }
 
+/// Returns the commands of each order that was sent to a node, with the proof before them and where in
+/// what was signed they begin.
+fn proved(rig: &Rig) -> Vec<(NodeId, Proof, usize, Vec<Command>)> {
+    let batches = rig.sent.iter();
+    let batches = batches.filter(|(_, _, topic, _, _)| *topic == NodeTopic::Batch);
+    let mut proved = Vec::new();
+    for (_, node, _, _, payload) in batches {
+        let (proof, order) = Proof::split(payload).expect("an order");
+        let mut reader = BatchReader::new(order).expect("an order");
+        let Order::Batch(header) = *reader.order() else {
+            continue;
+        };
+        let proof = proof.expect("each order has one");
+        assert!(proof.includes(&header));
+        let mut inside = Vec::new();
+        while let Some(command) = reader.next_command().expect("a command") {
+            inside.push(command);
+        }
+        let from = (header.first_command - proof.first_command) as usize;
+        proved.push((*node, proof, from, inside));
+    }
+    proved
+}
+
 #[test]
 fn a_signed_job_goes_on_after_restarts_of_the_gateway_and_each_order_proves_itself() {
     let Plant { mut rig, alice, .. } = plant();
@@ -74,26 +98,11 @@ fn a_signed_job_goes_on_after_restarts_of_the_gateway_and_each_order_proves_itse
     assert_eq!(rig.finish(&name, 60 * S), JobState::Succeeded);
     assert_eq!(rig.node("left").taken.len(), COUNT);
     let mut signatures = Vec::new();
-    for (_, _, topic, _, payload) in &rig.sent {
-        if *topic != NodeTopic::Batch {
-            continue;
-        }
-        let (proof, order) = Proof::split(payload).expect("an order");
-        let mut reader = BatchReader::new(order).expect("an order");
-        let Order::Batch(header) = *reader.order() else {
-            continue;
-        };
-        let proof = proof.expect("each order has one");
-        assert!(proof.includes(&header));
-        let mut inside = Vec::new();
-        while let Some(command) = reader.next_command().expect("a command") {
-            inside.push(command);
-        }
+    for (_, proof, from, inside) in proved(&rig) {
         let chain = inside
             .iter()
             .rev()
             .fold(proof.after, |after, command| link_command(command, &after));
-        let from = (header.first_command - proof.first_command) as usize;
         assert_eq!(chain, root_of_commands(&commands[from..]), "from {from}");
         signatures.push(proof.signature());
     }
@@ -192,29 +201,14 @@ fn each_part_of_a_signed_synchronized_job_proves_itself_also_after_a_restart_of_
     rig.restart_gateway();
     assert_eq!(rig.finish(&name, 60 * S), JobState::Succeeded);
     let mut counts = std::collections::BTreeMap::new();
-    for (_, node, topic, _, payload) in &rig.sent {
-        let (proof, order) = Proof::split(payload).expect("an order");
-        if *topic != NodeTopic::Batch {
-            continue;
-        }
-        let mut reader = BatchReader::new(order).expect("an order");
-        let Order::Batch(header) = *reader.order() else {
-            continue;
-        };
-        let proof = proof.expect("each order has one");
-        assert!(proof.includes(&header));
-        let mut inside = Vec::new();
-        while let Some(command) = reader.next_command().expect("a command") {
-            inside.push(command);
-        }
-        let from = (header.first_command - proof.first_command) as usize;
+    for (node, proof, from, inside) in proved(&rig) {
         let chain = root_before(&inside, proof.after);
         assert_eq!(
             chain,
-            root_of_commands(&parts[node][from..]),
+            root_of_commands(&parts[&node][from..]),
             "{node} from {from}"
         );
-        *counts.entry(*node).or_insert(0) += inside.len();
+        *counts.entry(node).or_insert(0) += inside.len();
     }
     // The barrier of the start and the one in the middle are of it.
     assert_eq!(parts[&NodeId::new("right").expect("legal")].len(), 5);
