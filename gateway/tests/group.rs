@@ -721,3 +721,31 @@ fn a_gateway_that_is_gone_at_any_time_of_a_start_leaves_nobody_moving_alone() {
     assert!(succeeded > runs / 2, "{succeeded} of {runs}");
     assert!(splits.len() <= 1, "{splits:?}");
 }
+
+#[test]
+fn among_many_nodes_those_that_are_to_start_together_are_asked_for_their_clocks_first() {
+    let mut rig = Rig::new();
+    for number in 0..300 {
+        rig.add(&format!("n{number}"));
+        let now_us = rig.now_us;
+        let node = rig.node(&format!("n{number}"));
+        node.features = Features::BASIC.with(Features::BARRIERS);
+        node.tell(now_us);
+    }
+    rig.run(400 * MS);
+    // It never comes to its barrier, so the other one waits.
+    rig.node("n1").mute = true;
+    let parts = ["n0", "n1"].map(|node| (node, json!([steps(10)])));
+    rig.accept_group(&group("few", &parts));
+    let before = rig.sent.len();
+    rig.run(2 * S);
+    let probes = |name: &str| {
+        let of = |(_, node, topic, ..): &&(_, keys::NodeId, _, _, _)| {
+            node.as_str() == name && *topic == keys::NodeTopic::Clock
+        };
+        rig.sent[before..].iter().filter(of).count()
+    };
+    // 300 shares of half a millisecond, against 20 ms at first and 100 ms then.
+    assert!((12..=14).contains(&probes("n2")), "{}", probes("n2"));
+    assert!(probes("n0") >= 40, "{}", probes("n0"));
+}

@@ -186,6 +186,9 @@ impl BusyFleet {
             // There is no gateway: nobody answers, or the router says that nobody does.
             return;
         }
+        for answer in answers.iter().filter(|answer| answer["state"] != "idle") {
+            eprintln!("not released: {answer}");
+        }
         self.wait_until("released", |node| node.status().state == NodeState::Idle);
         // The jobs that were stopped must have their end before the next ones come.
         let count = self.nodes.len();

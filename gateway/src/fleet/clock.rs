@@ -38,6 +38,10 @@ pub const LOCK_SAMPLES: usize = 8;
 /// Samples of every later block: 3.2 s at ten probes a second.
 pub const BLOCK_SAMPLES: usize = 32;
 
+/// A later block of at least [`LOCK_SAMPLES`] is closed after so long, s: among thousands of nodes one is
+/// probed every few seconds, and its rate would be a guess until 32 of them.
+pub const BLOCK_S_MAX: f64 = 10.0;
+
 /// Noise of a stamp that was not delayed: scheduling and the microsecond itself, µs.
 pub const STAMP_US: f64 = 5.0;
 
@@ -55,6 +59,7 @@ pub const CALM_FACTOR: f64 = 64.0;
 
 /// Share of one node in the time of all probes, µs: 2,000 probes a second at most, however many nodes
 /// there are. Up to 40 nodes are locked as quickly as can be, up to 200 probed as often as one alone.
+/// Nodes that are to start together share a time of their own of the same length.
 pub const PROBE_SHARE_US: u64 = 500;
 
 /// Share of the shortest round trip that may be constant asymmetry.
@@ -376,7 +381,8 @@ impl ClockTrack {
     fn push(&mut self, sample: Sample) {
         self.block.push(sample);
         self.samples_taken = self.samples_taken.saturating_add(1);
-        let wanted = if self.line.is_none() {
+        let is_slow = || sample.middle_s - self.block[0].middle_s >= BLOCK_S_MAX;
+        let wanted = if self.line.is_none() || is_slow() {
             LOCK_SAMPLES
         } else {
             BLOCK_SAMPLES

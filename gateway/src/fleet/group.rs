@@ -132,7 +132,7 @@ impl Fleet {
             _ => None,
         };
         let now = self.now;
-        let of = self.started.iter().copied().find(|id| {
+        let of = self.started.keys().copied().find(|id| {
             let start = self.groups.get(id).and_then(|group| group.start.as_ref());
             start.is_some_and(|start| start.is_of(node, message))
         });
@@ -182,7 +182,7 @@ impl Fleet {
         } else if self.groups.remove(id).is_some() {
             let split = self.book.get(id).is_some_and(|job| job.split);
             self.split_start_count += u64::from(split);
-            self.started.remove(id);
+            self.meeting_count -= self.started.remove(id).unwrap_or(0);
             self.group_timers.set(*id, None, self.now);
         }
     }
@@ -209,7 +209,10 @@ impl Fleet {
                 &entry.planned,
             )
         });
-        self.started.insert(*id);
+        if !self.started.contains_key(id) {
+            self.started.insert(*id, job.parts.len());
+            self.meeting_count += job.parts.len();
+        }
         for (node, part) in &job.parts {
             if let Some(activation) = part.entry.activation {
                 start.seat(*node, activation.queue, activation.base);

@@ -55,7 +55,7 @@ use keys::{
 };
 use node::{Node, Turn, Wish};
 use pattern::Pattern;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use timers::Timers;
 
 /// Every number of the fleet, with its reason.
@@ -135,8 +135,9 @@ pub struct Fleet {
     timers: Timers<NodeId>,
     /// Synchronized jobs that are not final.
     groups: HashMap<JobId, Group>,
-    /// Those of which a part was sent.
-    started: BTreeSet<JobId>,
+    /// Those of which a part was sent, with the number of their nodes, and the sum of those.
+    started: BTreeMap<JobId, usize>,
+    meeting_count: usize,
     group_timers: Timers<JobId>,
     split_start_count: u64,
     /// Gets on `release`, `hold`, `resume` and `speed`, and how many nodes still have to answer.
@@ -169,7 +170,8 @@ impl Fleet {
             nodes: BTreeMap::new(),
             timers: Timers::default(),
             groups: HashMap::new(),
-            started: BTreeSet::new(),
+            started: BTreeMap::new(),
+            meeting_count: 0,
             group_timers: Timers::default(),
             split_start_count: 0,
             releases: HashMap::new(),
@@ -389,10 +391,16 @@ impl Fleet {
         act: impl FnOnce(&mut Node, &mut Turn<'_>),
     ) {
         let started_at = self.started_at.unwrap_or(self.now);
-        let probe_us_min = self.nodes.len() as u64 * clock::PROBE_SHARE_US;
+        let all_count = self.nodes.len();
         let Some(node) = self.nodes.get_mut(&id) else {
             return;
         };
+        // The start of a few among thousands needs their clocks, and needs them now.
+        let meets = node
+            .active()
+            .is_some_and(|job| self.started.contains_key(&job));
+        let sharing_count = if meets { self.meeting_count } else { all_count };
+        let probe_us_min = sharing_count.min(all_count) as u64 * clock::PROBE_SHARE_US;
         let mut turn = Turn {
             now: self.now,
             started_at,

@@ -285,6 +285,10 @@ impl Node {
     }
 
     fn say_probe(&mut self, turn: &mut Turn<'_>) {
+        let period_us = self.clock.probe_period_us().max(turn.probe_us_min);
+        // Who was probed seldom may have become one that is soon to start with others.
+        let soon = turn.now.plus_us(period_us);
+        self.probe_at = self.probe_at.map(|at| at.min(soon));
         if !turn.may_probe || self.probe_at.is_some_and(|at| turn.now < at) {
             return;
         }
@@ -298,8 +302,7 @@ impl Node {
             self.probes.pop_front();
         }
         self.probes.push_back((probe.probe, probe.sent_at));
-        let period_us = self.clock.probe_period_us().max(turn.probe_us_min);
-        self.probe_at = Some(turn.now.plus_us(period_us));
+        self.probe_at = Some(soon);
         let mut buffer = [0; 64];
         let bytes = keys::version::encode(&ClockMessage::Probe(probe), &mut buffer)
             .expect("a probe has at most 17 bytes");
