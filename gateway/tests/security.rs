@@ -397,6 +397,9 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     let bytes = version::encode(&status(QueueId { boot: 1, flush: 0 }), &mut buffer);
     let bytes = bytes.expect("it fits").to_vec();
     put(&left, "fleet/node/right/status", bytes.clone()).await;
+    let vitals = in_time(alice.declare_subscriber("fleet/node/*/vitals")).await;
+    let vitals = vitals.expect("declared");
+    put(&left, "fleet/node/right/vitals", "not its own").await;
     let _token = in_time(left.liveliness().declare_token("fleet/node/right/alive")).await;
     put(&left, "fleet/node/left/job", job("lefts").to_string()).await;
     put(
@@ -408,12 +411,16 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     put(&left, "fleet/node/right/stop", "").await;
     // What it may say comes last, and through the same link.
     let _own = in_time(left.liveliness().declare_token("fleet/node/left/alive")).await;
+    put(&left, "fleet/node/left/vitals", "its own").await;
     put(&left, "fleet/node/left/status", bytes).await;
     until(&alice, "left", |record| {
         record.alive && record.firmware == "0.1.0"
     })
     .await;
 
+    let sample = in_time(vitals.recv_async()).await.expect("vitals");
+    assert_eq!(sample.key_expr().as_str(), "fleet/node/left/vitals");
+    assert!(vitals.try_recv().expect("open").is_none());
     let right = ask(&alice, "fleet/node/right/state", None).await;
     assert!(right.iter().all(Result::is_err), "{right:?}");
     assert!(!job_exists(&alice, "lefts").await);

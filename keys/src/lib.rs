@@ -47,6 +47,7 @@ pub mod trace;
 pub mod units;
 pub mod update;
 pub mod version;
+pub mod vitals;
 
 pub use batch::{BatchAck, BatchHeader, BatchReader, Order, QueueId, Refusal, Verdict};
 pub use command::{Command, Features};
@@ -57,6 +58,7 @@ pub use status::{AxisStatus, Fault, NodeState, Status};
 pub use stop::{Stop, StopMode, StopReason, StopReport};
 pub use topics::NodeTopic;
 pub use units::{FleetMicros, LocalMicros};
+pub use vitals::Vitals;
 
 /// Most axes that one node can have (X, Y, Z, A by RMT; C by MCPWM; D by LEDC).
 pub const AXES_MAX: usize = 6;

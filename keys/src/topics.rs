@@ -18,6 +18,7 @@
 //! | `hold`, `resume` | empty | client → gateway | real-time | block |
 //! | `speed` | `{"percent":…}` | client → gateway | real-time | block |
 //! | `trace` | [`TraceEvent`](crate::trace::TraceEvent) | node → gateway | data-high | drop; missed by its number |
+//! | `vitals` | [`Vitals`](crate::Vitals) | node → all | background | drop (the next is complete) |
 //! | `jog` | [`JogRequest`](crate::jog::JogRequest), JSON, answered by a [`JogReceipt`](crate::jog::JogReceipt) | client → node, by get | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
 //! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
@@ -65,11 +66,13 @@ pub enum NodeTopic {
     Trace,
     /// Moves of single axes by hand.
     Jog,
+    /// How its chip is.
+    Vitals,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -90,6 +93,7 @@ impl NodeTopic {
         Self::Speed,
         Self::Trace,
         Self::Jog,
+        Self::Vitals,
     ];
 
     /// Returns the last chunk of the key.
@@ -115,6 +119,7 @@ impl NodeTopic {
             Self::Speed => "speed",
             Self::Trace => "trace",
             Self::Jog => "jog",
+            Self::Vitals => "vitals",
         }
     }
 

@@ -15,6 +15,7 @@ use keys::{
     status::{DecodeError, FaultCode},
     trace::{TraceEvent, TraceWord},
     version,
+    vitals::{VITALS_BYTES_MAX, Vitals},
 };
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
@@ -567,5 +568,51 @@ fn events_of_a_job_have_their_bytes() {
     ];
     for (what, bytes) in cases {
         check(event(what), &format!("01 07 ac 02 e8 07 01 01 6a {bytes}"));
+    }
+}
+
+#[test]
+fn vitals_have_their_bytes_and_are_read_with_fewer_fields_or_more() {
+    let told = |vitals: Vitals| {
+        let mut buffer = [0; VITALS_BYTES_MAX];
+        vitals.encode(&mut buffer).to_vec()
+    };
+    let all = Vitals {
+        at: LocalMicros(1_000),
+        uptime_s: Some(300),
+        chip_celsius: Some(-5),
+        internal_free_bytes: Some(40_000),
+        psram_free_bytes: Some(7_000_000),
+        network_stack_free_bytes: Some(0),
+        planning_stack_free_bytes: Some(50_000),
+    };
+    let bytes = told(all);
+    assert_eq!(
+        hex(&bytes),
+        "01 e8 07 01 ac 02 01 09 01 c0 b8 02 01 c0 9f ab 03 01 00 01 d0 86 03"
+    );
+    assert_eq!(Vitals::decode(&bytes), Ok(all));
+    let emulated = Vitals {
+        at: LocalMicros(1_000),
+        uptime_s: Some(300),
+        ..Vitals::default()
+    };
+    assert_eq!(hex(&told(emulated)), "01 e8 07 01 ac 02 00 00 00 00 00");
+    let older = &told(emulated)[..6];
+    assert_eq!(Vitals::decode(older), Ok(emulated));
+    let newer = [&bytes[..], &[1, 0xff, 0xff, 1]].concat();
+    assert_eq!(Vitals::decode(&newer), Ok(all));
+    let most = Vitals {
+        at: LocalMicros(u64::MAX),
+        uptime_s: Some(u32::MAX),
+        chip_celsius: Some(i16::MIN),
+        internal_free_bytes: Some(u32::MAX),
+        psram_free_bytes: Some(u32::MAX),
+        network_stack_free_bytes: Some(u32::MAX),
+        planning_stack_free_bytes: Some(u32::MAX),
+    };
+    assert_eq!(Vitals::decode(&told(most)), Ok(most));
+    for nonsense in [&[][..], &[1], &[2, 0], &[1, 0, 2], &[1; 65]] {
+        assert!(Vitals::decode(nonsense).is_err(), "{nonsense:?}");
     }
 }

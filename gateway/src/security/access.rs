@@ -2,9 +2,9 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, jogs, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, jogs, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, vitals, records, logs, data |
 //! | viewer | stops | the same |
-//! | node | its own status, ack, clock, start, pace, trace, log, report, data | its own orders, and every stop |
+//! | node | its own status, ack, clock, start, pace, trace, vitals, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
 //! A node cannot speak as another, whatever key it uses: rules go by the name under which it
@@ -17,8 +17,9 @@ use keys::{Keys, NodeId, NodeTopic};
 use serde_json::{Value, json};
 
 /// What a node says.
-const SAID: [NodeTopic; 8] = [
+const SAID: [NodeTopic; 9] = [
     NodeTopic::Trace,
+    NodeTopic::Vitals,
     NodeTopic::Pace,
     NodeTopic::Report,
     NodeTopic::Status,
@@ -39,9 +40,10 @@ const HEARD: [NodeTopic; 6] = [
 ];
 
 /// What everybody may follow.
-const FOLLOWED: [NodeTopic; 4] = [
+const FOLLOWED: [NodeTopic; 5] = [
     NodeTopic::State,
     NodeTopic::Status,
+    NodeTopic::Vitals,
     NodeTopic::Log,
     NodeTopic::Stop,
 ];

@@ -9,6 +9,7 @@ use keys::{
     batch::{BatchWriter, ORDER_BYTES_MAX},
     clock::{ClockMessage, ClockProbe},
     version,
+    vitals::{VITALS_US, Vitals},
 };
 use std::{
     net::{Ipv4Addr, SocketAddrV4, TcpListener, UdpSocket},
@@ -360,6 +361,39 @@ async fn a_node_that_was_told_no_router_finds_it_by_scouting() {
     next(&statuses).await;
     let _ = node.shutdown().await;
     router.close().await.expect("closed");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn vitals_are_said_when_the_link_comes_and_each_ten_seconds_behind_it() {
+    let (router, locator) = router().await;
+    let vitals = router
+        .declare_subscriber("fleet/node/left/vitals")
+        .with(zenoh::handlers::FifoChannel::new(1_000))
+        .await
+        .expect("subscribed");
+    let mut config = EmulatorConfig::new(NodeId::new("left").expect("legal"));
+    config.connect = locator;
+    config.clock_offset_us = 3_600_000_000;
+    let node = spawn(config).expect("spawned");
+    let told = async || {
+        let sample = next(&vitals).await;
+        Vitals::decode(&sample.payload().to_bytes()).expect("vitals")
+    };
+    let first = told().await;
+    assert!(first.at.0 >= 3_600_000_000);
+    let uptime_s = first.uptime_s.expect("it knows");
+    assert!(u64::from(uptime_s) < PATIENCE.as_secs(), "since its boot");
+    let nothing_else = Vitals {
+        at: first.at,
+        uptime_s: first.uptime_s,
+        ..Vitals::default()
+    };
+    assert_eq!(first, nothing_else, "an emulated node knows no chip");
+    node.jump_clock(VITALS_US);
+    let second = told().await;
+    assert!(second.at.since_us(first.at) >= VITALS_US);
+    assert!(second.uptime_s >= Some(uptime_s + 10));
+    let _ = node.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -18,6 +18,7 @@ use keys::{
     jog::REQUEST_BYTES_MAX,
     key::KeyText,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
+    vitals::{VITALS_BYTES_MAX, VITALS_US, Vitals},
 };
 use motion::StepBackend;
 use pico::{
@@ -47,6 +48,14 @@ pub trait Host {
     fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
         let _ = (now, message);
         UpdateReply::Refused(UpdateRefusal::NoSlot)
+    }
+    /// Tells how its chip is, as far as it knows; nothing here waits for the core that plans.
+    fn vitals(&mut self, now: LocalMicros) -> Vitals {
+        Vitals {
+            at: now,
+            uptime_s: u32::try_from(now.0 / 1_000_000).ok(),
+            ..Vitals::default()
+        }
     }
 }
 
@@ -86,7 +95,7 @@ const HEARD: [NodeTopic; 5] = [
 ];
 
 /// Topics that a node speaks on.
-const SPOKEN: [NodeTopic; 8] = [
+const SPOKEN: [NodeTopic; 9] = [
     NodeTopic::Clock,
     NodeTopic::Start,
     NodeTopic::Ack,
@@ -95,6 +104,7 @@ const SPOKEN: [NodeTopic; 8] = [
     NodeTopic::Report,
     NodeTopic::Pace,
     NodeTopic::Trace,
+    NodeTopic::Vitals,
 ];
 
 /// Numbers of zenoh's encodings.
@@ -140,6 +150,8 @@ pub struct NodeLink {
     jog_key: KeyText,
     asked: Vec<(u32, InboundQuery)>,
     last_asked: u32,
+    /// When vitals are said next; `None` without a session.
+    vitals_at: Option<LocalMicros>,
 }
 
 impl NodeLink {
@@ -172,6 +184,7 @@ impl NodeLink {
             (publish(SPOKEN[5])?, SPOKEN[5]),
             (publish(SPOKEN[6])?, SPOKEN[6]),
             (publish(SPOKEN[7])?, SPOKEN[7]),
+            (publish(SPOKEN[8])?, SPOKEN[8]),
         ];
         let mut scripts = ScriptKey::new();
         // Cannot fail: it was counted.
@@ -202,6 +215,7 @@ impl NodeLink {
             jog_key,
             asked: Vec::new(),
             last_asked: 0,
+            vitals_at: None,
         })
     }
 
@@ -219,12 +233,16 @@ impl NodeLink {
     ) -> Option<LocalMicros> {
         while let Some(event) = session.poll_event() {
             match event {
-                Event::Opened => host.handle(now, Inbound::LinkUp),
+                Event::Opened => {
+                    self.vitals_at = Some(now);
+                    host.handle(now, Inbound::LinkUp);
+                }
                 Event::Closed { .. } => {
                     self.held = None;
                     self.gets.clear();
                     self.answers.clear();
                     self.asked.clear();
+                    self.vitals_at = None;
                     host.handle(now, Inbound::LinkDown);
                 }
                 Event::Message { subscriber, sample } if subscriber == self.store => {
@@ -305,7 +323,25 @@ impl NodeLink {
                 break;
             }
         }
-        host.poll_timeout()
+        self.tell_vitals(host, session, now);
+        host.poll_timeout().into_iter().chain(self.vitals_at).min()
+    }
+
+    /// Tells how the chip is, if it is time and nothing else is to be said. What finds no room is not
+    /// said later: the next is complete.
+    fn tell_vitals<H: Host>(&mut self, host: &mut H, session: &mut Session, now: LocalMicros) {
+        if self.vitals_at.is_none_or(|at| now < at) {
+            return;
+        }
+        self.vitals_at = Some(now.plus_us(VITALS_US));
+        let spoken = |(_, topic): &&(PublisherId, NodeTopic)| *topic == NodeTopic::Vitals;
+        if self.held.is_none()
+            && let Some((publisher, topic)) = self.spoken.iter().find(spoken)
+        {
+            let mut buffer = [0; VITALS_BYTES_MAX];
+            let vitals = host.vitals(now);
+            let _ = session.put(*publisher, vitals.encode(&mut buffer), &options_of(*topic));
+        }
     }
 
     /// Replies to gets of stored scripts, as far as there is room.
@@ -451,6 +487,7 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         NodeTopic::Report => (Priority::DataHigh, Congestion::Block, false, OCTET_STREAM),
         NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),
         NodeTopic::Log => (Priority::Background, Congestion::Drop, false, TEXT_PLAIN),
+        NodeTopic::Vitals => (Priority::Background, Congestion::Drop, false, OCTET_STREAM),
         _ => (Priority::DataHigh, Congestion::Drop, false, OCTET_STREAM),
     };
     PutOptions {

@@ -8,7 +8,7 @@ use crate::{
     pulse::VirtualRmt,
 };
 use keys::{
-    LocalMicros,
+    LocalMicros, Vitals,
     update::{UpdateMessage, UpdateReply},
 };
 use motion::MotionConfig;
@@ -44,6 +44,16 @@ impl node::run::Host for EmulatedNode {
 
     fn update(&mut self, now: LocalMicros, message: &UpdateMessage<'_>) -> UpdateReply {
         Self::update(self, message, now)
+    }
+
+    /// A PC knows nothing of a chip; its clock may have begun anywhere.
+    fn vitals(&mut self, now: LocalMicros) -> Vitals {
+        let uptime_us = now.0.saturating_sub(self.config.clock_offset_us);
+        Vitals {
+            at: now,
+            uptime_s: u32::try_from(uptime_us / 1_000_000).ok(),
+            ..Vitals::default()
+        }
     }
 }
 
