@@ -2,7 +2,7 @@
 
 use crate::request::{Language, Order, Scope, Ticket};
 use keys::{
-    JobId, NodeId, Status, StopMode,
+    JobId, NodeId, Status, StopMode, Vitals,
     record::{JobError, JobRecord, LinkRecord, NodeRecord, Receipt},
 };
 use serde::{Deserialize, Serialize};
@@ -47,6 +47,13 @@ pub enum Message {
         node: NodeId,
         /// Its own words.
         status: Box<Status>,
+    },
+    /// How a node's chip is.
+    Vitals {
+        /// The node.
+        node: NodeId,
+        /// Its own words.
+        vitals: Vitals,
     },
     /// A job changed, or is told for the first time.
     Job(Box<JobRecord>),

@@ -97,6 +97,11 @@ impl Model {
             }
             Message::Node(record) => self.record(at, *record),
             Message::Status { node, status } => self.status(at, node, *status),
+            Message::Vitals { node, vitals } => {
+                if let Some(known) = self.node_mut(node, at) {
+                    known.set_vitals(at, vitals);
+                }
+            }
             Message::Job(record) => {
                 let promised_us = self.jobs.promised_skew_us(&record.job);
                 self.alarms.job(at, &record, promised_us);

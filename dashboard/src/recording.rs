@@ -159,6 +159,9 @@ pub fn picture(model: &Model) -> Vec<Message> {
             let status = Box::new(status);
             messages.push(Message::Status { node: id, status });
         }
+        if let Some((_, vitals)) = node.vitals().copied() {
+            messages.push(Message::Vitals { node: id, vitals });
+        }
         if !alive {
             messages.push(Message::Alive { node: id, alive });
         }

@@ -43,6 +43,16 @@ pub fn age(seconds: f64) -> String {
     }
 }
 
+/// Returns an amount of memory: `512 B`, `39.1 KiB`, `7.0 MiB`.
+pub fn bytes(bytes: u32) -> String {
+    let bytes = f64::from(bytes);
+    match bytes {
+        ..1_024.0 => format!("{bytes} B"),
+        ..1_048_576.0 => format!("{:.1} KiB", bytes / 1_024.0),
+        _ => format!("{:.1} MiB", bytes / 1_048_576.0),
+    }
+}
+
 /// Returns a whole number in groups of three: `-1 234 567`, with no-break spaces.
 pub fn steps(steps: i64) -> String {
     let digits = steps.unsigned_abs().to_string();

@@ -11,7 +11,7 @@ use crate::{
     request::Request,
 };
 use keys::{
-    Keys, NodeId, NodeTopic, Status, Topic,
+    Keys, NodeId, NodeTopic, Status, Topic, Vitals,
     credentials::Credentials,
     record::{JobRecord, NodeRecord},
     version,
@@ -345,7 +345,12 @@ async fn subscribe(
     inbox: &Arc<Inbox>,
     tokens: &Arc<Mutex<Tokens>>,
 ) -> zenoh::Result<()> {
-    let topics = [NodeTopic::Status, NodeTopic::State, NodeTopic::Log];
+    let topics = [
+        NodeTopic::Status,
+        NodeTopic::State,
+        NodeTopic::Log,
+        NodeTopic::Vitals,
+    ];
     let mut expressions: Vec<String> = Vec::new();
     expressions.extend(topics.map(|topic| keys.every_node(topic).as_str().to_owned()));
     expressions.push(keys.every_job().as_str().to_owned());
@@ -411,6 +416,10 @@ fn node_message(node: NodeId, topic: NodeTopic, payload: &[u8]) -> Result<Option
             let status: Status = version::decode(payload).map_err(|error| error.to_string())?;
             let status = Box::new(status);
             Some(Message::Status { node, status })
+        }
+        NodeTopic::Vitals => {
+            let vitals = Vitals::decode(payload).map_err(|error| error.to_string())?;
+            Some(Message::Vitals { node, vitals })
         }
         NodeTopic::State => {
             let record: NodeRecord =

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::message::Moment;
 use keys::{
-    AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Status,
+    AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Status, Vitals,
     record::{ClockRecord, LinkRecord, NodeRecord, NodeWord, PaceRecord},
 };
 
@@ -79,6 +79,7 @@ pub struct Node {
     listened_from: Moment,
     record: Option<(Moment, NodeRecord)>,
     status: Option<(Moment, Status)>,
+    vitals: Option<(Moment, Vitals)>,
     samples: Ring<Sample, SAMPLES_MAX>,
     clocks: Ring<ClockSample, CLOCKS_MAX>,
     travels: Ring<TravelSample, CLOCKS_MAX>,
@@ -95,6 +96,7 @@ impl Node {
             listened_from: at,
             record: None,
             status: None,
+            vitals: None,
             samples: Ring::default(),
             clocks: Ring::default(),
             travels: Ring::default(),
@@ -314,6 +316,16 @@ impl Node {
     pub fn rssi_dbm(&self) -> Option<i8> {
         let own = self.latest_status().and_then(|status| status.rssi_dbm);
         own.or_else(|| self.latest_record().and_then(|record| record.rssi_dbm))
+    }
+
+    /// Takes how its chip is.
+    pub(super) fn set_vitals(&mut self, at: Moment, vitals: Vitals) {
+        self.vitals = Some((at, vitals));
+    }
+
+    /// Returns how its chip was, and when it said so.
+    pub fn vitals(&self) -> Option<&(Moment, Vitals)> {
+        self.vitals.as_ref()
     }
 
     /// Returns number and words of its last fault.

@@ -16,6 +16,9 @@ use serde::{Deserialize, Serialize};
 /// What stands where a value is wanted that nobody sends.
 const NOT_TOLD: &str = "not told";
 
+/// Vitals that are older show their age, s: a node tells them every ten seconds.
+const VITALS_OLD_S: f64 = 35.0;
+
 /// The parts of a node's page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Page {
@@ -275,9 +278,7 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
     }
     let rssi = node.rssi_dbm().map(|rssi_dbm| format!("{rssi_dbm} dBm"));
     facts.push(("RSSI", rssi.unwrap_or_else(|| NOT_TOLD.to_owned())));
-    // No message of the fleet has them.
-    facts.push(("temperature", NOT_TOLD.to_owned()));
-    facts.push(("free heap", NOT_TOLD.to_owned()));
+    facts.extend(vitals_facts(model, node));
     if let Some(status) = node.latest_status() {
         facts.push(("laser", format!("{} %", status.laser_percent)));
         if let Some(lidar_mm) = status.lidar_mm {
@@ -293,6 +294,39 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
         }
     }
     facts_grid(ui, facts);
+}
+
+/// Temperature, free heap and free stack, each with its age when the node has not said it for long.
+fn vitals_facts(model: &Model, node: &Node) -> Vec<(&'static str, String)> {
+    let (at, vitals) = node.vitals().copied().unwrap_or_default();
+    let age_s = model.now().since_s(at);
+    let known = |value: Option<String>| match value {
+        None => NOT_TOLD.to_owned(),
+        Some(value) if age_s > VITALS_OLD_S => format!("{value}, {} ago", text::age(age_s)),
+        Some(value) => value,
+    };
+    let both = |first: Option<u32>, second: Option<u32>, words: [&str; 2]| {
+        let told = [first, second].into_iter().zip(words);
+        let told = told.filter_map(|(bytes, word)| Some(format!("{} {word}", text::bytes(bytes?))));
+        let told: Vec<String> = told.collect();
+        (!told.is_empty()).then(|| told.join(", "))
+    };
+    let heap = both(
+        vitals.internal_free_bytes,
+        vitals.psram_free_bytes,
+        ["inside", "outside"],
+    );
+    let stack = both(
+        vitals.network_stack_free_bytes,
+        vitals.planning_stack_free_bytes,
+        ["network", "planning"],
+    );
+    let celsius = vitals.chip_celsius.map(|celsius| format!("{celsius} °C"));
+    vec![
+        ("temperature", known(celsius)),
+        ("free heap", known(heap)),
+        ("least free stack", known(stack)),
+    ]
 }
 
 fn facts_grid(ui: &mut Ui, facts: Vec<(&str, String)>) {

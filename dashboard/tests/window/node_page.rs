@@ -10,7 +10,7 @@ use dashboard::{
 use egui::Role;
 use egui_kittest::kittest::Queryable as _;
 use keys::{
-    NodeState,
+    NodeState, Vitals,
     record::{ClockRecord, FaultRecord, LinkRecord, NodeWord, PaceRecord},
 };
 
@@ -75,6 +75,44 @@ fn page(page: Page) -> Window {
     click(&mut window, Role::Button, page.title());
     assert_eq!(window.state().view.node.page, page);
     window
+}
+
+#[test]
+fn temperature_heap_and_stack_are_shown_with_their_age_when_they_are_old() {
+    let mut dashboard = circle();
+    let vitals = Vitals {
+        chip_celsius: Some(52),
+        internal_free_bytes: Some(40_000),
+        psram_free_bytes: Some(7_340_032),
+        network_stack_free_bytes: Some(12_288),
+        ..Vitals::default()
+    };
+    let node = node("laser-1");
+    tell(
+        &mut dashboard,
+        at_ms(10_000),
+        Message::Vitals { node, vitals },
+    );
+    let window = show(dashboard);
+    for words in [
+        "52 °C",
+        "39.1 KiB inside, 7.0 MiB outside",
+        "12.0 KiB network",
+    ] {
+        assert!(shows(&window, words), "{words}");
+    }
+    let mut dashboard = circle();
+    tell(
+        &mut dashboard,
+        at_ms(10_000),
+        Message::Vitals { node, vitals },
+    );
+    let quiet = Message::Log {
+        node,
+        text: "still here".to_owned(),
+    };
+    tell(&mut dashboard, at_ms(60_000), quiet);
+    assert!(shows(&show(dashboard), "52 °C, 50 s ago"));
 }
 
 #[test]
