@@ -9,11 +9,13 @@
 //! | log line | the last [`LINES_MAX`] | the oldest goes, counted |
 //! | everything else | [`EVENTS_MAX`] | counted, and everything is asked for again |
 //!
-//! A window that draws takes all of it many times a second. The bounds are for one that does not.
+//! A window that draws takes all of it many times a second. The bounds are for one that does not. It is
+//! woken for news only: a status that says the same as the one before waits for the next frame, which
+//! comes within a second anyway.
 
 use super::Clock;
 use crate::message::{Message, Moment};
-use keys::{JobId, NodeId};
+use keys::{JobId, NodeId, Status};
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
@@ -47,6 +49,8 @@ struct Waiting {
     lines: VecDeque<Heard>,
     events: VecDeque<Heard>,
     missed: u64,
+    /// The last status of each node, which stays when all is taken.
+    last: BTreeMap<NodeId, Status>,
 }
 
 /// See the module.
@@ -73,10 +77,13 @@ impl Inbox {
     /// Takes what was heard just now.
     pub fn push(&self, message: Message) {
         let heard = (self.clock.now(), message);
-        if !self.lock().push(heard) {
+        let mut waiting = self.lock();
+        let is_news = waiting.is_news(&heard.1);
+        if !waiting.push(heard) {
             self.incomplete.store(true, Ordering::Relaxed);
         }
-        if !self.dirty.swap(true, Ordering::AcqRel) {
+        drop(waiting);
+        if is_news && !self.dirty.swap(true, Ordering::AcqRel) {
             (self.wake)();
         }
     }
@@ -85,7 +92,7 @@ impl Inbox {
     pub fn take(&self) -> Vec<Heard> {
         // Cleared first: what comes in between wakes once too often rather than never.
         self.dirty.store(false, Ordering::Release);
-        let waiting = std::mem::take(&mut *self.lock());
+        let waiting = self.lock().take();
         let mut heard: Vec<Heard> = Vec::new();
         heard.extend(waiting.statuses.into_values().flatten());
         heard.extend(waiting.records.into_values());
@@ -112,6 +119,31 @@ impl Inbox {
 }
 
 impl Waiting {
+    /// Takes everything that waits.
+    fn take(&mut self) -> Self {
+        let last = std::mem::take(&mut self.last);
+        let fresh = Self {
+            last,
+            ..Self::default()
+        };
+        std::mem::replace(self, fresh)
+    }
+
+    /// Returns whether a message says something new.
+    fn is_news(&mut self, message: &Message) -> bool {
+        let Message::Status { node, status } = message else {
+            return true;
+        };
+        if self.last.len() >= NODES_MAX && !self.last.contains_key(node) {
+            return true;
+        }
+        let before = self.last.insert(*node, status.as_ref().clone());
+        before.is_none_or(|before| {
+            let at = status.at;
+            Status { at, ..before } != **status
+        })
+    }
+
     /// Returns whether it could be kept, or will be followed by one that is complete.
     fn push(&mut self, heard: Heard) -> bool {
         match &heard.1 {
@@ -195,6 +227,33 @@ mod tests {
         assert_eq!(wakes.load(Ordering::Relaxed), 1);
         assert_eq!(inbox.take().len(), 100);
         inbox.push(line(100));
+        assert_eq!(wakes.load(Ordering::Relaxed), 2);
+    }
+
+    #[test]
+    fn a_node_at_rest_does_not_wake_the_window() {
+        let wakes = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&wakes);
+        let inbox = Inbox::new(Clock::start(), move || {
+            counted.fetch_add(1, Ordering::Relaxed);
+        });
+        let tell = |at_us: u64, laser_percent: u8| {
+            let mut status = crate::model::tests::status(keys::NodeState::Idle);
+            status.at = keys::LocalMicros(at_us);
+            status.laser_percent = laser_percent;
+            inbox.push(Message::Status {
+                node: NodeId::new("left").expect("a name"),
+                status,
+            });
+        };
+        tell(1, 0);
+        assert_eq!((wakes.load(Ordering::Relaxed), inbox.take().len()), (1, 1));
+        tell(2, 0);
+        tell(3, 0);
+        assert_eq!(wakes.load(Ordering::Relaxed), 1, "only the time moved on");
+        assert_eq!(inbox.take().len(), 2, "they are kept for the next frame");
+        tell(4, 10);
+        tell(5, 10);
         assert_eq!(wakes.load(Ordering::Relaxed), 2);
     }
 

@@ -15,7 +15,7 @@ pub(super) fn at(ms: u64) -> Moment {
     Moment(1_000_000_000).plus_us(ms * 1_000)
 }
 
-pub(super) fn status(state: NodeState) -> Box<Status> {
+pub(crate) fn status(state: NodeState) -> Box<Status> {
     let axis = AxisStatus {
         position_steps: 7,
         speed_mhz: -1_500,
