@@ -11,6 +11,9 @@
 //! subscriber is always the zenoh crate's client as it is by default; both ends of a round trip are
 //! of the same kind. The last column compares with the zenoh crate's default client, whose batches
 //! are the largest there are.
+//!
+//! “bare” is the same session on a thread that does nothing but block in the socket's read: the rest of
+//! its round trip is the router's and the kernel's, and no client can be quicker than that.
 
 mod roundtrip;
 #[path = "../../tests/router/mod.rs"]
@@ -62,7 +65,9 @@ async fn main() {
             }
         }
     }
-    println!("round trip, µs median");
+    println!(
+        "round trip, µs median              ours     zenoh   ratio  of default      bare   ratio"
+    );
     for payload_bytes in PAYLOADS {
         for express in [false, true] {
             let name = name("there, back", payload_bytes, express);
@@ -70,7 +75,8 @@ async fn main() {
                 continue;
             }
             let mut medians = HashMap::new();
-            for side in sides() {
+            let bare = BATCHES.map(Side::Bare);
+            for side in sides().chain(bare) {
                 medians.insert(side, roundtrip::measure(side, payload_bytes, express).await);
             }
             print_lines(&name, &medians, |ours, zenoh| zenoh / ours);
@@ -97,12 +103,17 @@ fn print_lines(name: &str, figures: &HashMap<Side, f64>, better: impl Fn(f64, f6
         let zenoh = figures[&Side::Rust(batch_bytes)];
         let default = figures[&Side::Rust(u16::MAX)];
         println!(
-            "{:12} {:>6} {} {batch_bytes:>6} {ours:>9.0} {zenoh:>9.0} {:>7.2} {:>11.2}",
+            "{:12} {:>6} {} {batch_bytes:>6} {ours:>9.0} {zenoh:>9.0} {:>7.2} {:>11.2}{}",
             words[0],
             words[1],
             words[2],
             better(ours, zenoh),
             better(ours, default),
+            figures
+                .get(&Side::Bare(batch_bytes))
+                .map_or_else(String::new, |bare| {
+                    format!(" {bare:>9.0} {:>7.2}", better(*bare, zenoh))
+                }),
         );
     }
 }

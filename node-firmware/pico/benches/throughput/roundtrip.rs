@@ -16,7 +16,7 @@ use zenoh::{Wait, qos::CongestionControl};
 use crate::{
     ROUND,
     router::{PATIENCE, open_router},
-    side::{Side, Work, open_rust, put, run_ours},
+    side::{Side, Work, open_rust, put, run_bare, run_ours},
 };
 
 /// Round trips at the beginning that are not counted.
@@ -107,7 +107,7 @@ pub(crate) async fn measure(side: Side, payload_bytes: usize, express: bool) -> 
     let (router, address) = open_router().await;
     let result = Arc::new(Mutex::new(Vec::new()));
     let mut times = match side {
-        Side::Ours(batch_bytes) => {
+        Side::Ours(batch_bytes) | Side::Bare(batch_bytes) => {
             let over = Arc::<Over>::default();
             let player = |serves| Player {
                 serves,
@@ -119,8 +119,11 @@ pub(crate) async fn measure(side: Side, payload_bytes: usize, express: bool) -> 
                 result: result.clone(),
                 over: over.clone(),
             };
-            let returns = run_ours(address, batch_bytes, player(false));
-            let serves = run_ours(address, batch_bytes, player(true));
+            let run = |player| match side {
+                Side::Bare(_) => run_bare(address, batch_bytes, player),
+                _ => run_ours(address, batch_bytes, player),
+            };
+            let (returns, serves) = (run(player(false)), run(player(true)));
             let threads = tokio::task::spawn_blocking(move || {
                 serves.join().expect("a side panicked");
                 over.is.store(true, Ordering::Relaxed);

@@ -1,10 +1,15 @@
-//! The two kinds of clients.
+//! The kinds of clients.
 
-use std::{net::SocketAddr, sync::Arc};
+use std::{
+    io::{ErrorKind, Read as _, Write as _},
+    net::{SocketAddr, TcpStream},
+    sync::Arc,
+    time::Duration,
+};
 
 use pico::{
     Congestion, Event, KeyRef, PublisherId, PutOptions, Session, SessionConfig,
-    driver::{self, App, Next},
+    driver::{self, App, Next, Timer as _},
 };
 
 use crate::router::{self, Target, Tcp, Wall};
@@ -13,6 +18,8 @@ use crate::router::{self, Target, Tcp, Wall};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Side {
     Ours(u16),
+    /// Ours on a thread that blocks in the socket's read, without a runtime: nothing can be quicker.
+    Bare(u16),
     Rust(u16),
 }
 
@@ -47,8 +54,17 @@ struct Worker<W> {
     wanted: bool,
 }
 
-impl<W: Work> App for Worker<W> {
-    fn poll(&mut self, _now_us: u64, session: &mut Session) -> Next {
+impl<W: Work> Worker<W> {
+    fn new(mut work: W, session: &mut Session) -> Self {
+        Self {
+            publisher: work.begin(session),
+            work,
+            wanted: false,
+        }
+    }
+
+    /// Takes what has come and says what there is to say; returns whether it is over.
+    fn turn(&mut self, session: &mut Session) -> bool {
         while let Some(event) = session.poll_event() {
             match event {
                 Event::Message { .. } => self.work.received(),
@@ -63,9 +79,15 @@ impl<W: Work> App for Worker<W> {
         {
             self.work.speak(session, publisher);
         }
+        quit
+    }
+}
+
+impl<W: Work> App for Worker<W> {
+    fn poll(&mut self, _now_us: u64, session: &mut Session) -> Next {
         Next {
             wake_at_us: None,
-            quit,
+            quit: self.turn(session),
         }
     }
 
@@ -78,33 +100,67 @@ impl<W: Work> App for Worker<W> {
 pub(crate) fn run_ours(
     address: SocketAddr,
     batch_bytes: u16,
-    mut work: impl Work + Send + 'static,
+    work: impl Work + Send + 'static,
 ) -> std::thread::JoinHandle<()> {
     std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
         runtime.expect("a runtime").block_on(async move {
-            let config = SessionConfig {
-                batch_bytes,
-                queue_bytes: 4 * usize::from(batch_bytes).max(8192),
-                ..SessionConfig::default()
-            };
             // The address of something that lives: no other session here has it at this time.
             let mark = Arc::new(());
-            let mut session = Session::new(config, Arc::as_ptr(&mark) as u64);
-            let publisher = work.begin(&mut session);
-            let mut worker = Worker {
-                work,
-                publisher,
-                wanted: false,
-            };
+            let mut session = session(batch_bytes, &mark);
+            let mut worker = Worker::new(work, &mut session);
             let mut tcp = Tcp {
                 target: Target::new(address),
             };
             driver::run(&mut session, &mut tcp, &Wall::new(), &mut worker).await;
         });
     })
+}
+
+/// Runs a session of ours on a thread that waits for nothing but bytes.
+pub(crate) fn run_bare(
+    address: SocketAddr,
+    batch_bytes: u16,
+    work: impl Work + Send + 'static,
+) -> std::thread::JoinHandle<()> {
+    std::thread::spawn(move || {
+        let mark = Arc::new(());
+        let mut session = session(batch_bytes, &mark);
+        let mut worker = Worker::new(work, &mut session);
+        let mut stream = TcpStream::connect(address).expect("the router is there");
+        stream.set_nodelay(true).expect("a socket");
+        // Now and then it looks whether it is over.
+        let looks_every = Some(Duration::from_millis(50));
+        stream.set_read_timeout(looks_every).expect("a socket");
+        let wall = Wall::new();
+        session.handle_connected(wall.now_us());
+        let (mut input, mut output) = (vec![0; 1 << 16], Vec::new());
+        while !worker.turn(&mut session) {
+            session.poll_transmit(wall.now_us(), &mut output);
+            stream.write_all(&output).expect("the router reads");
+            output.clear();
+            match stream.read(&mut input) {
+                Ok(0) => panic!("the router hung up"),
+                Ok(count) => session
+                    .handle_bytes(wall.now_us(), &input[..count])
+                    .expect("a router"),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(error) => panic!("{error}"),
+            }
+            session.handle_timeout(wall.now_us());
+        }
+    })
+}
+
+fn session(batch_bytes: u16, mark: &Arc<()>) -> Session {
+    let config = SessionConfig {
+        batch_bytes,
+        queue_bytes: 4 * usize::from(batch_bytes).max(8192),
+        ..SessionConfig::default()
+    };
+    Session::new(config, Arc::as_ptr(mark) as u64)
 }
 
 /// Puts a value so that it arrives; `false` if the queue is full.

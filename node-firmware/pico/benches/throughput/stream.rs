@@ -80,6 +80,7 @@ pub(crate) async fn measure(
         Side::Ours(batch_bytes) => {
             threads.push(run_ours(address, batch_bytes, load(false, &received)));
         }
+        Side::Bare(_) => unreachable!("only round trips have it"),
         Side::Rust(batch_bytes) => {
             let session = open_rust(address, batch_bytes).await;
             let counter = received.clone();
@@ -96,6 +97,7 @@ pub(crate) async fn measure(
             let nothing = Arc::new(AtomicU64::new(0));
             threads.push(run_ours(address, batch_bytes, load(true, &nothing)));
         }
+        Side::Bare(_) => unreachable!("only round trips have it"),
         Side::Rust(batch_bytes) => {
             let session = open_rust(address, batch_bytes).await;
             let payload = vec![0u8; payload_bytes];
