@@ -118,7 +118,9 @@ fn get(session: &Session, key: &str, payload: Option<&Value>) -> Value {
 /// Asks, whenever one of these keys has news and at the latest each second, until the answer is as
 /// wanted.
 fn ask_until(session: &Session, key: &str, is_so: impl Fn(&Value) -> bool) -> Value {
-    let news = session.declare_subscriber(key).wait();
+    // One that fills would keep back the answers, which the same thread brings.
+    let news = session.declare_subscriber(key);
+    let news = news.with(zenoh::handlers::RingChannel::new(1)).wait();
     let news = news.expect("an open session");
     let since = Instant::now();
     loop {

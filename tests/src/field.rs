@@ -12,7 +12,13 @@ use std::{
     sync::Once,
     time::{Duration, Instant},
 };
-use zenoh::{Config, Session, Wait, bytes::Encoding};
+use zenoh::{
+    Config, Session, Wait,
+    bytes::Encoding,
+    handlers::{RingChannel, RingChannelHandler},
+    pubsub::Subscriber,
+    sample::Sample,
+};
 
 /// Far more than any step here takes.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -260,14 +266,23 @@ pub fn get_within(
     replies.into_iter().map(text).map(json).collect()
 }
 
+/// Hears a key from now on, the last message only: a channel that fills while its session asks for
+/// something would keep the answers back, because one thread brings both.
+///
+/// # Panics
+/// The session is closed.
+pub fn news(session: &Session, key: &str) -> Subscriber<RingChannelHandler<Sample>> {
+    let subscriber = session.declare_subscriber(key).with(RingChannel::new(1));
+    subscriber.wait().expect("an open session")
+}
+
 /// Waits until the gateway counts this many nodes for which something holds.
 ///
 /// # Panics
 /// It does not come to that.
 pub fn wait_for_nodes(session: &Session, count: usize, holds: impl Fn(&Value) -> bool) {
     let since = Instant::now();
-    let changes = session.declare_subscriber("fleet/node/*/state").wait();
-    let changes = changes.expect("an open session");
+    let changes = news(session, "fleet/node/*/state");
     loop {
         let nodes = get(session, "fleet/node/*/state", None);
         if nodes.iter().filter(|node| holds(node)).count() >= count {
