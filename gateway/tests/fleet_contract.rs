@@ -432,6 +432,23 @@ fn after_a_stop_nothing_moves_until_the_release_and_then_only_new_jobs() {
 }
 
 #[test]
+fn a_release_is_not_done_because_of_a_status_from_before_the_stop() {
+    let mut rig = Rig::with_left();
+    rig.accept("left", &moves("a", 50, 100));
+    rig.run(100 * MS);
+    // What the node said last is still on its way when it hears the stop.
+    let now_us = rig.now_us;
+    rig.stop("left");
+    rig.node("left").tell(now_us);
+    let reply = rig.release("left");
+    rig.run(2 * S);
+    let answers = rig.answers(reply);
+    assert_eq!(answers.len(), 1, "{answers:?}");
+    assert_eq!(answers[0]["state"], "idle", "{answers:?}");
+    assert_eq!(rig.node("left").latched, None, "told as released");
+}
+
+#[test]
 fn a_release_answers_for_every_case() {
     let mut rig = Rig::with_left();
     // Not stopped: the record.

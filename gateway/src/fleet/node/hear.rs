@@ -192,7 +192,9 @@ impl Node {
         if !matches!(status.state, NodeState::Stopped | NodeState::Fault) {
             self.facts.latch = None;
             self.coming_to_rest = false;
-            if let Some(wish) = self.release.take() {
+            // While its latch is still to come this was said before the stop, and ends no release.
+            let released = self.facts.pending_stop.is_none();
+            if let Some(wish) = self.release.take_if(|_| released) {
                 turn.released
                     .extend(wish.waiters.into_iter().map(Released::done));
             }
