@@ -1,6 +1,8 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use crate::{bus::limits::ClientLimits, fleet::FleetConfig, job::gcode::Machines};
+use crate::{
+    bus::limits::ClientLimits, collector::Collector, fleet::FleetConfig, job::gcode::Machines,
+};
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -64,6 +66,9 @@ pub struct GatewayConfig {
     pub limits: ClientLimits,
     /// Where `/metrics` and `/healthz` are served by HTTP, see [`crate::http`]. `None` by default.
     pub http: Option<SocketAddr>,
+    /// Where the spans of jobs are sent. `None` by default. The gateway's log must have a layer that
+    /// does it, as the program's has.
+    pub otlp: Option<Collector>,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
@@ -86,6 +91,7 @@ impl GatewayConfig {
             fleet: FleetConfig::default(),
             limits: ClientLimits::default(),
             http: None,
+            otlp: None,
             scouting: false,
             machines: Machines::new(),
         }

@@ -477,6 +477,11 @@ pub(crate) struct Serve {
     #[arg(long, value_name = "HOST:PORT", env = "FLEET_HTTP")]
     pub(crate) http: Option<std::net::SocketAddr>,
 
+    /// Send a span for each job to this collector of OpenTelemetry, OTLP by HTTP; needs a build with
+    /// the feature `otel`.
+    #[arg(long, value_name = "http://HOST:PORT", env = "FLEET_OTLP")]
+    pub(crate) otlp: Option<gateway::collector::Collector>,
+
     /// Stand by beside another gateway with the same store, and take over when it has gone.
     #[arg(long)]
     pub(crate) standby: bool,
