@@ -31,6 +31,10 @@ pub const CLIENTS_MAX: usize = 1_024;
 
 /// Largest message that the router puts together from fragments, bytes: a job and its envelope.
 /// Zenoh's default is 1 GiB, for every link.
+///
+/// Of a larger one zenoh drops the fragments where it puts them together, with a line at its log level
+/// `trace` and none to the sender or to whoever stands above the transport. So the gateway cannot refuse
+/// it: a get ends by the client's own timeout. Between [`keys::job::JOB_BYTES_MAX`] and this it can.
 pub const MESSAGE_BYTES_MAX: usize = keys::job::JOB_BYTES_MAX + (1 << 20);
 
 /// See the module.
