@@ -1,6 +1,8 @@
 //! Every setting of the gateway, with unit, default and reason.
 
-use crate::{bus::limits::ClientLimits, fleet::FleetConfig, job::gcode::Machines};
+use crate::{
+    bus::limits::ClientLimits, collector::Collector, fleet::FleetConfig, job::gcode::Machines,
+};
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -29,6 +31,10 @@ pub const CLIENTS_MAX: usize = 1_024;
 
 /// Largest message that the router puts together from fragments, bytes: a job and its envelope.
 /// Zenoh's default is 1 GiB, for every link.
+///
+/// Of a larger one zenoh drops the fragments where it puts them together, with a line at its log level
+/// `trace` and none to the sender or to whoever stands above the transport. So the gateway cannot refuse
+/// it: a get ends by the client's own timeout. Between [`keys::job::JOB_BYTES_MAX`] and this it can.
 pub const MESSAGE_BYTES_MAX: usize = keys::job::JOB_BYTES_MAX + (1 << 20);
 
 /// See the module.
@@ -64,6 +70,9 @@ pub struct GatewayConfig {
     pub limits: ClientLimits,
     /// Where `/metrics` and `/healthz` are served by HTTP, see [`crate::http`]. `None` by default.
     pub http: Option<SocketAddr>,
+    /// Where the spans of jobs are sent. `None` by default. The gateway's log must have a layer that
+    /// does it, as the program's has.
+    pub otlp: Option<Collector>,
     /// Whether the router looks for others, and lets itself be found, by multicast. Off by
     /// default: a fleet must not grow by what happens to be in the same network.
     pub scouting: bool,
@@ -86,6 +95,7 @@ impl GatewayConfig {
             fleet: FleetConfig::default(),
             limits: ClientLimits::default(),
             http: None,
+            otlp: None,
             scouting: false,
             machines: Machines::new(),
         }

@@ -23,15 +23,19 @@
 //! | [`standby`] | a gateway that waits beside another one |
 //! | [`security`] | a secured fleet: certificates, users, rules, signatures; the threat model |
 //! | [`config`], [`settings`] | every number of a gateway; `fleet.toml` |
-//! | [`observe`], [`http`], [`spans`] | metrics and their names; where they are served; one span of the log for each job |
+//! | [`observe`], [`http`] | metrics and their names; where they are served |
+//! | [`spans`], [`collector`] | one span of the log for each job; where spans are sent (module `otel`, with the feature) |
 
 pub mod bus;
+pub mod collector;
 pub mod config;
 pub mod fleet;
 pub mod http;
 pub mod job;
 pub mod journal;
 pub mod observe;
+#[cfg(feature = "otel")]
+pub mod otel;
 pub mod reading;
 pub mod security;
 pub mod service;

@@ -4,7 +4,9 @@
 //! it. [`Settings::parse`] refuses what it does not know and what is out of range, and names the
 //! line. Command line and environment win over the file.
 
-use crate::{config::GatewayConfig, fleet::FleetConfig, job::gcode::Machines};
+use crate::{
+    collector::Collector, config::GatewayConfig, fleet::FleetConfig, job::gcode::Machines,
+};
 use keys::Keys;
 use serde::{Deserialize, Deserializer, de};
 use std::{
@@ -48,6 +50,9 @@ pub struct Network {
     pub prefix: Option<Keys>,
     /// Where metrics and health are served by HTTP.
     pub http: Option<SocketAddr>,
+    /// Where the spans of jobs are sent.
+    #[serde(deserialize_with = "collector")]
+    pub otlp: Option<Collector>,
     /// Folder of a secured fleet.
     pub secure: Option<PathBuf>,
     /// Whether to look for other routers by multicast.
@@ -130,6 +135,11 @@ fn prefix<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Keys>, D::Error> 
     Keys::new(&text).map(Some).map_err(de::Error::custom)
 }
 
+fn collector<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Collector>, D::Error> {
+    let text = String::deserialize(from)?;
+    text.parse().map(Some).map_err(de::Error::custom)
+}
+
 impl Settings {
     /// Reads the text of a file.
     ///
@@ -172,6 +182,7 @@ impl Settings {
         config.keys = network.prefix.unwrap_or_default();
         config.secure = network.secure;
         config.http = network.http;
+        config.otlp = network.otlp;
         config.scouting = network.scouting.unwrap_or(false);
         config.machines = node;
         let FleetConfig {
@@ -259,7 +270,7 @@ mod tests {
         let of_client = [client.requests_per_s, client.mib_per_s, client.gets_open];
         assert!(of_client.iter().all(Option::is_some), "{of_client:?}");
         assert!(network.listen.is_some() && network.prefix.is_some() && network.scouting.is_some());
-        for name in ["connect", "standby", "secure", "http"] {
+        for name in ["connect", "standby", "secure", "http", "otlp"] {
             assert!(DEFAULTS.contains(&format!("# {name} = ")), "{name}");
         }
         assert!(store.file.is_some() && store.keep_jobs.is_some() && store.keep_days.is_some());
@@ -286,6 +297,7 @@ mod tests {
                 "no address of the form",
             ),
             ("[network]\nprefix = \"*\"\n", 2, ""),
+            ("[network]\n\notlp = \"a:4318\"\n", 3, ""),
             ("[stroe]\n", 1, "unknown field `stroe`"),
             ("[store\n", 1, ""),
             (

@@ -4,10 +4,13 @@
 //! record that is new opens a span, each other state is an event in it, a final one closes it. A
 //! collector of spans so sees how long each job took, and in which states.
 
-use keys::{Keys, Topic};
+use keys::{Keys, Topic, record::JobState};
 use serde::Deserialize;
 use std::collections::HashMap;
-use tracing::{Span, info, info_span};
+use tracing::{Span, field::Empty, info, info_span};
+
+/// The target of all that is said here, for filters.
+pub const TARGET: &str = module_path!();
 
 /// Open spans at most; a job beyond them is logged without one.
 const SPANS_MAX: usize = 100_000;
@@ -42,13 +45,17 @@ impl JobSpans {
         if known == Some(seen.state) {
             return;
         }
-        let is_final = seen
-            .state
-            .parse::<keys::record::JobState>()
-            .is_ok_and(keys::record::JobState::is_final);
+        let is_final = seen.state.parse::<JobState>().is_ok_and(JobState::is_final);
         let span = match self.open.remove(seen.job) {
             Some((span, _)) => span,
-            None => info_span!("job", job = seen.job, node = seen.node, group = seen.group),
+            None => info_span!(
+                "job",
+                job = seen.job,
+                node = seen.node,
+                group = seen.group,
+                otel.status_code = Empty,
+                otel.status_description = Empty,
+            ),
         };
         {
             let _inside = span.enter();
@@ -57,7 +64,22 @@ impl JobSpans {
                 None => info!(state = seen.state, "job"),
             }
         }
-        if !is_final && self.open.len() < SPANS_MAX {
+        if is_final {
+            // What collectors colour, in OpenTelemetry's words. A cancel is neither good nor bad.
+            match seen.state.parse() {
+                Ok(JobState::Canceled) => {}
+                Ok(JobState::Succeeded) => {
+                    span.record("otel.status_code", "ok");
+                }
+                _ => {
+                    let why = seen.error.as_ref().map_or(seen.state, |error| {
+                        error["message"].as_str().unwrap_or(seen.state)
+                    });
+                    span.record("otel.status_code", "error");
+                    span.record("otel.status_description", why);
+                }
+            }
+        } else if self.open.len() < SPANS_MAX {
             let state = seen.state.to_owned();
             self.open.insert(seen.job.to_owned(), (span, state));
         }

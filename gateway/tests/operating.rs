@@ -533,6 +533,14 @@ fn every_symptom_of_the_page_on_trouble_is_what_is_really_said() {
     let taken = plant.connect.clone();
     plant.types(true, &["maintenance", "right", "belt"]);
     // The page has what is said; its left column is the fragment.
+    let mut tried = vec![
+        "is offline",
+        "is stopped; release it first",
+        // By an older node, in `group.rs`.
+        "not supported by this node's firmware",
+        "(nothing: the receipt of another job)",
+        "did not answer within",
+    ];
     for (symptom, line) in [
         (
             "cannot connect to",
@@ -585,7 +593,53 @@ fn every_symptom_of_the_page_on_trouble_is_what_is_really_said() {
         };
         assert_ne!(ran.code, Some(0), "{line:?}");
         assert!(ran.err.contains(symptom), "{line:?}: {}", ran.err);
+        tried.push(symptom);
     }
+    let rows = page
+        .lines()
+        .skip_while(|line| !line.starts_with("---"))
+        .skip(1);
+    for row in rows.filter(|row| !row.starts_with(' ')) {
+        let symptom = row.split("  ").next().unwrap_or_default();
+        assert!(tried.contains(&symptom), "nobody has tried {symptom:?}");
+    }
+    // Somebody who hears questions and says nothing.
+    let mute = nodes.runtime.block_on(async {
+        let mut config = zenoh::Config::default();
+        let endpoints = format!("[\"{}\"]", plant.connect);
+        for (key, value) in [("mode", "\"client\""), ("connect/endpoints", &endpoints)] {
+            config.insert_json5(key, value).expect("legal");
+        }
+        let session = zenoh::open(config).await.expect("connected");
+        let held = std::sync::Mutex::new(Vec::new());
+        let hold = move |query| held.lock().expect("alone").push(query);
+        let queryable = session.declare_queryable("mute/**").callback(hold).await;
+        (queryable.expect("declared"), session)
+    });
+    let ran = fleet(&[
+        "nodes",
+        "--prefix",
+        "mute",
+        "--connect",
+        &plant.connect,
+        "--timeout",
+        "1",
+    ]);
+    assert_eq!(ran.code, Some(3));
+    assert!(ran.err.contains("did not answer within"), "{}", ran.err);
+    drop(mute);
+    let again = |steps: u32| {
+        let job = format!(
+            r#"{{"id":"again","commands":[{{"move":{{"axis":0,"delay_us":100,"steps":{steps}}}}}]}}"#
+        );
+        let file = plant.file("again.json", &job);
+        plant.types(true, &["submit", &file, "--node", "left", "--json"])
+    };
+    again(1);
+    assert!(
+        again(2).out.contains("again"),
+        "and the first one is what counts"
+    );
     plant.types(true, &["stop", "left"]);
     let ran = plant.types(false, &["submit", &one, "--node", "left"]);
     assert!(
@@ -620,7 +674,7 @@ fn every_symptom_of_the_page_on_trouble_is_what_is_really_said() {
 #[test]
 fn help_has_topics_and_the_shell_gets_completions_and_a_manual_page() {
     let ran = fleet(&["help"]);
-    for topic in ["node", "stop", "trouble", "gcode", "service"] {
+    for topic in ["node", "stop", "trouble", "client", "gcode", "service"] {
         assert!(ran.out.contains(&format!("  {topic} ")), "{topic}");
         let page = fleet(&["help", topic]).out;
         assert!(page.lines().count() > 10, "{topic}");

@@ -4,6 +4,8 @@
 
 use assert_cmd::Command;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use gateway::security::{Home, Role, home::read_secret};
+use keys::{NodeId, credentials::Credentials};
 use provision::{Dialogue, Record, Store, frame::FRAME_BYTES_MAX};
 use serialport::{SerialPort, TTYPort};
 use std::{
@@ -156,6 +158,29 @@ fn a_node_is_told_its_name_network_and_router_and_says_no_secret() {
     assert_eq!(record.networks[0].password, "correct horse");
     assert_eq!(record.router, "tcp/10.0.0.1:7447");
     assert!(restart);
+}
+
+#[test]
+fn a_node_of_a_secured_fleet_is_told_the_file_that_was_made_for_it() {
+    let board = Board::new(false);
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut home = Home::init(&folder.path().join("home"), &[]).expect("made");
+    let left = NodeId::new("left").expect("legal");
+    home.add(left, Role::Node).expect("added");
+    let file = folder.path().join("home/left.json");
+    let path = file.to_str().expect("a path");
+    let text = read_secret(&file).expect("private");
+    let made = Credentials::from_json(&text).expect("credentials");
+    let (code, _, err) = board.fleet(&["--name", "left", "--wifi", "shop", "--login", path]);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    let both = ["--login", path, "--user", "left", "--password-file", path];
+    assert_eq!(board.fleet(&both).0, Some(2));
+    let (code, _, err) = board.fleet(&["--login", "/dev/null"]);
+    assert_eq!(code, Some(2), "{err}");
+    let (record, _) = board.end();
+    let login = record.login.expect("it was told");
+    assert_eq!(login.user, "left");
+    assert_eq!(login.password, made.password.as_str());
 }
 
 #[test]

@@ -140,6 +140,9 @@ class Package(unittest.TestCase):
         with self.assertRaises(Refused) as refused:
             self.fleet.submit("left", gcode="G0 X1", id="g-1")
         self.assertIn("[node.left]", refused.exception.message)
+        with self.assertRaises(Refused) as refused:
+            self.fleet.submit("left", lua=" " * (80 << 20))
+        self.assertEqual(refused.exception.code, "too_large")
         with self.assertRaises(ValueError):
             self.fleet.submit("left", [], lua="")
         with Fleet(ARGUMENTS.locator, prefix="other", timeout=60) as other:

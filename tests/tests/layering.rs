@@ -25,7 +25,7 @@ const ALLOWED: [(&str, &[&str]); 14] = [
             "update",
         ],
     ),
-    ("gateway", &["keys", "provision", "emulator"]),
+    ("gateway", &["keys", "client", "provision", "emulator"]),
     ("client", &["keys"]),
     ("dashboard", &["keys"]),
     ("tests", &["keys", "node", "emulator", "gateway"]),

@@ -15,7 +15,7 @@
 use anyhow::{Context, Result, bail, ensure};
 use emulator::{EmulatedHandle, EmulatorConfig, wiring::Wiring};
 use gateway::{config::GatewayConfig, service::Service};
-use keys::{AxisId, NodeId};
+use keys::{AxisId, NodeId, record::NodeWord};
 use std::{
     collections::HashMap,
     fs::File,
@@ -31,6 +31,13 @@ use tokio::{
 /// The version of `eclipse-zenoh`: the one of the gateway's zenoh.
 const PACKAGE_VERSION: &str = "1.10.2";
 
+/// A command line by somebody else, and what it needs for puts and gets; it draws networks, too, with
+/// libraries that are not needed here.
+const COMMAND_LINE: [&str; 3] = ["zenoh-cli==0.7.0", "parse==1.22.4", "networkx==3.6.1"];
+
+/// The lines that are to be typed into a shell.
+const PAGE: &str = include_str!("../../gateway/src/bin/fleet/help/client.txt");
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn the_contract_holds_for_a_client_in_python() {
     plays("contract.py", None).await;
@@ -40,6 +47,86 @@ async fn the_contract_holds_for_a_client_in_python() {
 async fn the_python_package_is_installed_by_pip_and_does_what_it_says() {
     let packages = tempfile::tempdir().expect("a folder");
     plays("package.py", Some(packages.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn the_lines_for_a_shell_on_the_page_of_help_do_what_they_say() {
+    let python = tokio::task::spawn_blocking(python)
+        .await
+        .expect("no panic")
+        .expect("a Python with eclipse-zenoh");
+    let mut fixture = Fixture::start().await.expect("a fleet");
+    fixture.up("left", 2, &[]).expect("started");
+    let page = PAGE.replace("tcp/127.0.0.1:7447", &fixture.locator);
+    // As they stand there, with the blanks before them: a command begins two of them from the left.
+    let typed = |begin: &str| -> Vec<String> {
+        let mut commands: Vec<String> = Vec::new();
+        for paragraph in page.split("\n\n") {
+            let mut inside = false;
+            for line in paragraph.lines() {
+                match line.strip_prefix("  ") {
+                    Some(command) if command.starts_with(begin) => {
+                        inside = true;
+                        commands.push(line.to_owned());
+                    }
+                    Some(rest) if inside && rest.starts_with(' ') => {
+                        let command = commands.last_mut().expect("begun");
+                        *command += "\n";
+                        *command += line;
+                    }
+                    _ => inside = false,
+                }
+            }
+        }
+        commands
+    };
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gateway/clients/python");
+    let programs = python.parent().expect("its folder").to_owned();
+    let shell = |line: &str| {
+        let (line, source, programs) = (line.to_owned(), source.clone(), programs.clone());
+        tokio::task::spawn_blocking(move || {
+            let path = std::env::var("PATH").unwrap_or_default();
+            let mut shell = Command::new("sh");
+            shell.args(["-c", &line]).env("PYTHONPATH", source);
+            shell.env("PATH", format!("{}:{path}", programs.display()));
+            let output = shell.output().expect("there is a shell");
+            assert!(output.status.success(), "{line}: {}", text_of(&output));
+            String::from_utf8(output.stdout).expect("UTF-8")
+        })
+    };
+    let [put, get] = &typed("zenoh ")[..] else {
+        panic!("a put and a get: {page}");
+    };
+    let gateway = fixture.gateway.as_ref().expect("it runs").observer();
+    while gateway.snapshot().await.is_none_or(|fleet| {
+        let mut nodes = fleet.nodes.values();
+        nodes.all(|node| node.state == NodeWord::Offline)
+    }) {
+        tokio::task::yield_now().await;
+    }
+    shell(put).await.expect("typed");
+    let record = loop {
+        let text = shell(get).await.expect("typed");
+        // No record yet is no answer.
+        let record: Option<serde_json::Value> = serde_json::from_str(&text).ok();
+        let state = record.as_ref().and_then(|record| record["state"].as_str());
+        if state == Some("succeeded") {
+            break record.expect("read");
+        }
+        assert!(
+            !["rejected", "failed"].contains(&state.unwrap_or("")),
+            "{text}"
+        );
+    };
+    assert_eq!(record["result"]["position"][0], 2_000, "{record}");
+    let [job] = &typed("python3 ")[..] else {
+        panic!("a job: {page}");
+    };
+    let said = shell(job).await.expect("typed");
+    assert_eq!(said.trim_end(), "succeeded");
+    let left = fixture.node("left").expect("it is there");
+    assert_eq!(left.step_count(AxisId(0)), 4_000);
+    fixture.end().await;
 }
 
 /// Runs a script against a fleet. `packages`: where the package of this project is installed for it.
@@ -128,7 +215,7 @@ fn python() -> Result<PathBuf> {
     } else {
         home.join("bin").join("python")
     };
-    let complete = home.join("complete");
+    let complete = home.join("complete-with-command-line");
     if complete.exists() && interpreter.exists() {
         return Ok(interpreter);
     }
@@ -145,6 +232,11 @@ fn python() -> Result<PathBuf> {
         .args(pip)
         .args(["--only-binary", ":all:", &package]))
     .with_context(|| format!("this test needs {package} from PyPI, which pip could not get"))?;
+    run(Command::new(&interpreter)
+        .args(pip)
+        .args(["--only-binary", ":all:", "--no-deps"])
+        .args(COMMAND_LINE))
+    .context("this test needs zenoh-cli from PyPI, which pip could not get")?;
     File::create(&complete).with_context(|| format!("{}", complete.display()))?;
     Ok(interpreter)
 }

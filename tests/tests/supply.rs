@@ -106,7 +106,7 @@ fn every_unsafe_has_a_place_in_the_inventory_and_every_place_has_one() {
     assert_eq!(found, BTreeSet::from(listed));
 }
 
-/// Everything that is built for this machine, as cargo knows it.
+/// Everything that can be built for this machine, with all features, as cargo knows it.
 fn metadata() -> Value {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let version = Command::new("rustc")
@@ -120,6 +120,7 @@ fn metadata() -> Value {
             "metadata",
             "--format-version=1",
             "--locked",
+            "--all-features",
             "--filter-platform",
         ])
         .arg(host.expect("rustc names its host"))

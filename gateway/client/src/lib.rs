@@ -16,15 +16,16 @@
 //! ```
 //!
 //! Absent on purpose: timeouts of your own (wrap a call in your runtime's; every one may be dropped at
-//! any time), and the gateway's arrangements (`PREFIX/manage/…`), which [`Fleet::ask`] reaches.
+//! any time), and the gateway's arrangements (`PREFIX/manage/…`), which [`Fleet::ask`] and
+//! [`Fleet::answers`] reach: the command line `fleet` is written with nothing else.
 
 pub use keys;
 
-use base64::Engine as _;
 use keys::{
     JobId, Keys, NodeId, NodeTopic, StopMode,
     credentials::Credentials,
-    record::{ErrorReply, JobError, JobRecord, NodeRecord, Receipt},
+    job::JOB_BYTES_MAX,
+    record::{ErrorCode, ErrorReply, JobError, JobRecord, NodeRecord, Receipt},
 };
 use serde::de::DeserializeOwned;
 use std::{fmt::Display, time::Duration};
@@ -44,15 +45,24 @@ const RECORDS_WAITING_MAX: usize = 1_024;
 /// How long an answer may take, unless [`Fleet::with_patience`] says otherwise.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
+/// One answer to a get: what was said, or the gateway's refusal.
+pub type Answer = Result<Vec<u8>, JobError>;
+
 /// What can go wrong.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
+    /// Zenoh does not take the address.
+    #[error("no address: {0}")]
+    Address(String),
     /// The gateway refused, in its own words.
     #[error("{0}")]
     Refused(JobError),
     /// Nobody answers: no gateway, or another prefix.
     #[error("no gateway answers on {0}")]
     NoGateway(String),
+    /// There is somebody who could answer, and did not for so long.
+    #[error("no answer within {} s", .0.as_secs_f64())]
+    Silence(Duration),
     /// Zenoh's word: no connection, or it is gone.
     #[error("zenoh: {0}")]
     Zenoh(String),
@@ -92,25 +102,19 @@ impl Fleet {
         credentials: Option<&Credentials>,
     ) -> Result<Self, FleetError> {
         let text = |value: &str| serde_json::Value::from(value).to_string();
-        let mut settings = vec![
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
             ("mode", text("client")),
             ("connect/endpoints", format!("[{}]", text(connect))),
             ("scouting/multicast/enabled", "false".to_owned()),
-        ];
-        if let Some(credentials) = credentials {
-            settings.push(("transport/auth/usrpwd/user", text(&credentials.user)));
-            settings.push((
-                "transport/auth/usrpwd/password",
-                text(&credentials.password),
-            ));
-            if let Some(ca) = &credentials.ca {
-                let ca = base64::prelude::BASE64_STANDARD.encode(ca);
-                settings.push(("transport/link/tls/root_ca_certificate_base64", text(&ca)));
-            }
+        ] {
+            let set = config.insert_json5(key, &value);
+            set.map_err(|error| FleetError::Address(error.to_string()))?;
         }
-        let mut config = zenoh::Config::default();
-        for (key, value) in settings {
-            config.insert_json5(key, &value).map_err(zenoh_error)?;
+        for (key, value) in credentials.map_or_else(Vec::new, Credentials::zenoh_settings) {
+            // The error would quote the secret.
+            let set = config.insert_json5(key, &value);
+            set.map_err(|_| FleetError::Zenoh(format!("it takes no such value for {key}")))?;
         }
         let session = zenoh::open(config).await.map_err(zenoh_error)?;
         Ok(Self {
@@ -118,6 +122,21 @@ impl Fleet {
             keys,
             patience: PATIENCE,
         })
+    }
+
+    /// Returns the session, for what this crate has no word for.
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// Returns the keys of the fleet.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// Returns how long an answer may take.
+    pub fn patience(&self) -> Duration {
+        self.patience
     }
 
     /// Sets how long an answer may take.
@@ -240,8 +259,17 @@ impl Fleet {
     /// The connection is gone.
     pub async fn stop(&self, node: &NodeId, mode: StopMode) -> Result<(), FleetError> {
         let key = self.keys.node(node, NodeTopic::Stop);
+        self.put_now(key.as_str(), keys::Stop { mode }.to_payload())
+            .await
+    }
+
+    /// Puts JSON on any key, so that it overtakes everything.
+    ///
+    /// # Errors
+    /// The connection is gone.
+    pub async fn put_now(&self, key: &str, payload: &[u8]) -> Result<(), FleetError> {
         self.session
-            .put(key.as_str(), keys::Stop { mode }.to_payload())
+            .put(key, payload)
             .encoding(Encoding::APPLICATION_JSON)
             .priority(Priority::RealTime)
             .congestion_control(CongestionControl::Block)
@@ -268,6 +296,22 @@ impl Fleet {
         selector: &str,
         payload: Option<(&[u8], Encoding)>,
     ) -> Result<Vec<T>, FleetError> {
+        let payload = payload.map(|(bytes, encoding)| (bytes.to_owned(), encoding));
+        let answers = self.answers(selector, payload, None).await?;
+        let read = |answer: Answer| read(&answer.map_err(FleetError::Refused)?);
+        answers.into_iter().map(read).collect()
+    }
+
+    /// Asks on any key, with an attachment or without, and returns answers and refusals as they come.
+    ///
+    /// # Errors
+    /// No answer in time, the connection is gone, or the payload is larger than any job.
+    pub async fn answers(
+        &self,
+        selector: &str,
+        payload: Option<(Vec<u8>, Encoding)>,
+        attachment: Option<Vec<u8>>,
+    ) -> Result<Vec<Answer>, FleetError> {
         // Without consolidation the order of the replies stays.
         let mut get = self
             .session
@@ -275,20 +319,29 @@ impl Fleet {
             .consolidation(ConsolidationMode::None)
             .timeout(self.patience);
         if let Some((payload, encoding)) = payload {
+            // Zenoh would drop what is much larger without a word, in the router.
+            if payload.len() > JOB_BYTES_MAX {
+                let count = payload.len();
+                let words = format!("{count} bytes; at most {JOB_BYTES_MAX} are taken: split it");
+                let error = JobError::new(ErrorCode::TooLarge, words);
+                return Err(FleetError::Refused(error));
+            }
             get = get.payload(payload).encoding(encoding);
+        }
+        if let Some(attachment) = attachment {
+            get = get.attachment(attachment);
         }
         let replies = get.await.map_err(zenoh_error)?;
         let mut answers = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             match reply.result() {
-                Ok(sample) => answers.push(read(&sample.payload().to_bytes())?),
+                Ok(sample) => answers.push(Ok(sample.payload().to_bytes().into_owned())),
                 Err(error) => {
-                    let payload = error.payload().to_bytes();
-                    let Ok(reply) = serde_json::from_slice::<ErrorReply>(&payload) else {
-                        // Zenoh's own, when the time is over.
-                        return Err(FleetError::NoGateway(selector.to_owned()));
-                    };
-                    return Err(FleetError::Refused(reply.error));
+                    let refusal = serde_json::from_slice(&error.payload().to_bytes());
+                    // What is no refusal is zenoh's own word that the time is over.
+                    let ErrorReply { error } =
+                        refusal.map_err(|_| FleetError::Silence(self.patience))?;
+                    answers.push(Err(error));
                 }
             }
         }

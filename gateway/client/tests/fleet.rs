@@ -97,6 +97,8 @@ async fn a_client_hands_in_follows_stops_releases_and_is_told_what_cannot_be() {
     for refused in [
         in_time(fleet.submit(&node("nobody"), short)).await,
         in_time(fleet.submit(&left, b"{}")).await,
+        // No router would say a word about this one.
+        in_time(fleet.submit(&left, &vec![b' '; 80 << 20])).await,
         in_time(fleet.submit_gcode(&left, "G0 X", None)).await,
     ] {
         assert!(

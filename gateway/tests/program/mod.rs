@@ -48,7 +48,12 @@ pub(crate) struct Gateway {
 
 impl Gateway {
     pub(crate) fn start() -> Self {
-        Self::run(Process::new(env!("CARGO_BIN_EXE_fleet")))
+        Self::start_with(&[], "error")
+    }
+
+    /// Runs it with options of `fleet serve`; `log` is what is logged.
+    pub(crate) fn start_with(options: &[&str], log: &str) -> Self {
+        Self::run(Process::new(env!("CARGO_BIN_EXE_fleet")), options, log)
     }
 
     /// Runs it by a shell that lets no file grow beyond this.
@@ -58,10 +63,10 @@ impl Gateway {
         // Ignored, the signal becomes an error of the write.
         let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$0\" \"$@\"");
         shell.args(["-c", &script, env!("CARGO_BIN_EXE_fleet")]);
-        Self::run(shell)
+        Self::run(shell, &[], "error")
     }
 
-    fn run(mut program: Process) -> Self {
+    fn run(mut program: Process, options: &[&str], log: &str) -> Self {
         let store = tempfile::tempdir().expect("a directory");
         let mut process = program
             .args([
@@ -73,7 +78,8 @@ impl Gateway {
             ])
             .args(["--json", "--store"])
             .arg(store.path().join("fleet.redb"))
-            .env("RUST_LOG", "error")
+            .args(options)
+            .env("RUST_LOG", log)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -91,6 +97,20 @@ impl Gateway {
             http,
             _store: store,
         }
+    }
+
+    /// Ends it in good order; returns its log.
+    #[cfg(unix)]
+    pub(crate) fn end(mut self) -> String {
+        let pid = self.process.id().to_string();
+        let kill = Process::new("kill").args(["-TERM", &pid]).status();
+        assert!(kill.expect("there is a kill").success());
+        let mut log = String::new();
+        let mut said = self.process.stderr.take().expect("piped");
+        said.read_to_string(&mut log).expect("UTF-8");
+        let ended = self.process.wait().expect("it was there");
+        assert!(ended.success(), "{ended}: {log}");
+        log
     }
 
     pub(crate) fn fleet(&self, line: &[&str]) -> Ran {

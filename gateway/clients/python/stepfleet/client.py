@@ -17,6 +17,9 @@ from .commands import Command
 from .errors import NoGateway, Refused, TimedOut
 from .records import Arrangement, JobRecord, JobState, NodeRecord, Receipt
 
+# Largest text of a job.
+_JOB_BYTES_MAX = 64 << 20
+
 
 class Fleet:
     """A connection to a fleet; use it in a `with`.
@@ -301,6 +304,9 @@ class Fleet:
         encoding: zenoh.Encoding | None = None,
         attachment: str | None = None,
     ) -> list[Mapping[str, Any]]:
+        # The router would drop what is much larger without a word.
+        if payload is not None and len(payload.encode()) > _JOB_BYTES_MAX:
+            raise Refused("too_large", f"more than {_JOB_BYTES_MAX} bytes: split it")
         replies = self._session.get(
             f"{self._prefix}/{selector}",
             payload=payload,

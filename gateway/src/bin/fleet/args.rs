@@ -12,7 +12,16 @@ use std::{path::PathBuf, time::Duration};
 /// Where clients look for the gateway when nothing else is said.
 pub(crate) const CONNECT_DEFAULT: &str = "tcp/127.0.0.1:7447";
 
-const EXIT_CODES: &str = "\
+const BEHIND_HELP: &str = "\
+First steps:
+  fleet demo                                  six emulated nodes, a job on each
+  fleet serve                                 a gateway; leave it running
+  fleet help node                             how to add a node
+  fleet nodes                                 who is there
+  fleet submit job.json --node left --wait    `fleet help submit`: what is a job
+  fleet stop                                  all nodes, at once
+  fleet release                               when the reason is gone
+
 Exit codes:
   0  done
   1  the job or the request failed or was refused
@@ -20,12 +29,13 @@ Exit codes:
   3  no connection, or no gateway answers
   4  timed out waiting
 
-Log on standard error: RUST_LOG says what (default for serve: info,zenoh=error), FLEET_LOG=json makes
-each line a JSON object. `fleet help TOPIC`: node, stop, trouble, gcode, service.";
+Log on standard error: RUST_LOG says what (default for serve:
+info,zenoh=error), FLEET_LOG=json makes each line a JSON object.
+`fleet help TOPIC`: node, stop, trouble, client, gcode, service.";
 
 /// The operator's command line of a fleet of stepper controllers.
 #[derive(Debug, Parser)]
-#[command(name = "fleet", version, max_term_width = 100, disable_help_subcommand = true, after_help = EXIT_CODES)]
+#[command(name = "fleet", version, max_term_width = 100, disable_help_subcommand = true, after_help = BEHIND_HELP)]
 pub(crate) struct Line {
     #[command(flatten)]
     pub(crate) common: Common,
@@ -106,7 +116,7 @@ Examples:
   fleet serve --config fleet.toml")]
     Config(Config),
 
-    /// Read a G-code program and tell its time and bounds; nothing moves, and no gateway is asked.
+    /// Read a G-code program and tell its time and bounds; nothing moves, no gateway is asked.
     #[command(after_help = "\
 Examples:
   fleet check part.gcode --config /etc/fleet.toml --node left
@@ -145,8 +155,9 @@ Examples:
   fleet users /etc/fleet list")]
     Users(Users),
 
-    /// Make, list and revoke the keys with which operators sign jobs; while there is one, only
-    /// signed jobs are executed.
+    /// Make, list and revoke the keys with which operators sign jobs.
+    ///
+    /// While there is one, only signed jobs are executed.
     #[command(after_help = "\
 Examples:
   fleet keys /etc/fleet new alice       # alice.key for her; /etc/fleet/signers for every node
@@ -165,10 +176,10 @@ Commands; ways in steps, accel in steps/s², jerk in steps/s³:
   {\"sync_move\":{\"delay_us\":[500,1000],\"steps\":[2000,1000]}}         axes 0 and 1
   {\"ramp\":{\"axis\":0,\"steps\":1000,\"speed_hz\":500,\"accel\":100}}     relative (1)
   {\"ramp_to\":{\"axis\":0,\"position\":0,\"speed_hz\":500,\"accel\":100}}  absolute (1)
-  {\"line\":{\"steps\":[9000,4000],\"speed_hz\":5000,\"accel\":10000}}    all axes together (2)
+  {\"line\":{\"steps\":[9000,4000],\"speed_hz\":5000,\"accel\":10000}}    all axes (2)
   {\"pause\":{\"ms\":100}}  {\"laser\":{\"power_percent\":50}}  {\"lidar_read\":{}}
   {\"set_position\":{\"axis\":0,\"position\":0}}  {\"barrier\":{\"name\":\"layer-2\"}}
-  {\"wait_resume\":{}}                     rests until `fleet resume`; not in synchronized jobs
+  {\"wait_resume\":{}}       rests until `fleet resume`; not in synchronized jobs
   (1) may have \"linear_steps\" and \"jump_steps\", or \"jerk\"  (2) may have \"jerk\"
 
 Examples:
@@ -209,8 +220,9 @@ Examples:
   fleet maintenance left --end")]
     Maintenance(Maintenance),
 
-    /// Let the jobs that wait for a node go on waiting: new ones are taken, none begins. What moves goes
-    /// on; `fleet hold` is for that.
+    /// Let the jobs that wait for a node go on waiting.
+    ///
+    /// New ones are taken, none begins. What moves goes on; `fleet hold` is for that.
     #[command(after_help = "\
 Examples:
   fleet queue left hold
@@ -225,8 +237,10 @@ Examples:
   fleet submit --template drill --set depth=4 --set x=10 --node left")]
     Template(crate::kept::Templates),
 
-    /// Hand in a job again and again, at times in UTC. A time that passes while the gateway does not
-    /// run, or while the job before has not ended, is left out and counted as missed.
+    /// Hand in a job again and again, at times in UTC.
+    ///
+    /// A time that passes while the gateway does not run, or while the job before has not ended, is left
+    /// out and counted as missed.
     #[command(after_help = "\
 Examples:
   fleet schedule add warm-up warm.json --label mill --daily 05:00
@@ -265,7 +279,7 @@ Examples:
 
     /// Bring nodes to rest on their path, without losing it; `fleet resume` goes on.
     #[command(after_help = "\
-A held node keeps its job, its queue and its exact place. New jobs wait. A stop ends a hold.
+A held node keeps its job, its queue and its exact place. New jobs wait. A stop ends a hold. \
 A start that all nodes have agreed on is made first.
 
 Examples:
@@ -280,9 +294,9 @@ Examples:
 
     /// Move single axes of a node by hand, while no job runs.
     #[command(after_help = "\
-A run goes on while this command runs: it renews the node's lease, and Ctrl-C, a broken connection or
-a closed terminal bring the axis to rest. A move to a place goes on by itself: `fleet jog NODE --stop`
-or `fleet stop NODE` ends it. Soft limits and switches hold as ever. --by is relative to where the axis
+A run goes on while this command runs: it renews the node's lease, and Ctrl-C, a broken connection or \
+a closed terminal bring the axis to rest. A move to a place goes on by itself: `fleet jog NODE --stop` \
+or `fleet stop NODE` ends it. Soft limits and switches hold as ever. --by is relative to where the axis \
 is going; --by 0 changes its speed only.
 
 Examples:
@@ -295,7 +309,7 @@ Examples:
 
     /// Change the speed of ramps and lines, also of those under way.
     #[command(after_help = "\
-The speed stays until it is changed or the node restarts. It is never faster than the drivers allow;
+The speed stays until it is changed or the node restarts. It is never faster than the drivers allow; \
 raw moves keep their delay.
 
 Examples:
@@ -303,8 +317,9 @@ Examples:
   fleet speed left        # as the commands say")]
     Speed(Speed),
 
-    /// Tell a node on a serial port its name, network and router; without options show what it was
-    /// told.
+    /// Tell a node on a serial port its name, network and router.
+    ///
+    /// Without options: show what it was told.
     #[command(after_help = "\
 Examples:
   fleet provision /dev/ttyACM0 --name left --wifi shop --wifi-password-file wifi.txt \\
@@ -313,8 +328,10 @@ Examples:
   fleet provision /dev/ttyACM0")]
     Provision(crate::provision::Provision),
 
-    /// Store a Lua script on a node, under a name by which jobs call it; list, show or remove such
-    /// scripts. The one named `boot` runs when the node starts, if `fleet provision` has allowed that.
+    /// Store a Lua script on a node; list, show or remove such scripts.
+    ///
+    /// Jobs call it by its name. The one named `boot` runs when the node starts, if `fleet provision` has
+    /// allowed that.
     #[command(after_help = "\
 Examples:
   fleet script left clean --put clean.lua      # and now: {\"call\":\"clean\",\"args\":{\"times\":3}}
@@ -324,8 +341,9 @@ Examples:
   fleet script left boot --put home.lua --sign alice.key    # a node that executes only what is signed")]
     Script(crate::script::Script),
 
-    /// Give a node another firmware over the network, or show what it runs. The node tries it: if it
-    /// does not reach the router within a minute, the one before runs again.
+    /// Give a node another firmware over the network, or show what it runs.
+    ///
+    /// The node tries it: if it does not reach the router within a minute, the one before runs again.
     #[command(after_help = "\
 Examples:
   fleet update-key update.key              # once; update.pub is for `fleet provision`
@@ -338,7 +356,7 @@ Examples:
     #[command(after_help = "Examples:\n  fleet update-key update.key")]
     UpdateKey(UpdateKey),
 
-    /// Explain a command or a topic: node, stop, trouble, gcode, service.
+    /// Explain a command or a topic: node, stop, trouble, client, gcode, service.
     #[command(after_help = "Examples:\n  fleet help trouble\n  fleet help submit")]
     Help(Help),
 
@@ -476,6 +494,11 @@ pub(crate) struct Serve {
     /// Serve /metrics (Prometheus) and /healthz by HTTP, for example on 127.0.0.1:9447.
     #[arg(long, value_name = "HOST:PORT", env = "FLEET_HTTP")]
     pub(crate) http: Option<std::net::SocketAddr>,
+
+    /// Send a span for each job to this collector of OpenTelemetry, OTLP by HTTP; needs a build with
+    /// the feature `otel`.
+    #[arg(long, value_name = "http://HOST:PORT", env = "FLEET_OTLP")]
+    pub(crate) otlp: Option<gateway::collector::Collector>,
 
     /// Stand by beside another gateway with the same store, and take over when it has gone.
     #[arg(long)]
@@ -979,6 +1002,15 @@ mod tests {
     #[test]
     fn the_definition_of_the_line_is_sound() {
         Line::command().debug_assert();
+    }
+
+    #[test]
+    fn the_list_of_commands_has_one_short_sentence_for_each() {
+        for command in Line::command().get_subcommands() {
+            let about = command.get_about().expect("a sentence").to_string();
+            assert!(about.chars().count() <= 90, "{about}");
+            assert!(!about.contains(". "), "{about}");
+        }
     }
 
     #[test]

@@ -77,7 +77,7 @@ pub(crate) async fn bench(
     lasting: Duration,
 ) -> Result<(), Failure> {
     if common.connect.is_some() {
-        let message = "bench brings its own gateway and nodes: --connect has no meaning here";
+        let message = "bench brings its own gateway and nodes: --connect or FLEET_CONNECT has no meaning here";
         return Err(Failure::Usage(message.to_owned()));
     }
     let began = Instant::now();

@@ -120,18 +120,31 @@ impl Played {
             .map_or_else(Vec::new, |result| result.position.clone())
     }
 
+    /// Whether commands, node and pins agree about where it is.
+    fn agrees(&self) -> bool {
+        self.reported() == self.expected && self.counted == self.expected
+    }
+
+    fn positions(&self) -> String {
+        let [expected, reported, counted] =
+            [&self.expected, &self.reported(), &self.counted].map(|list| show::positions(list));
+        if self.agrees() {
+            expected
+        } else {
+            format!("expected {expected}, reported {reported}, counted {counted}")
+        }
+    }
+
     fn good(&self) -> bool {
-        self.record.state == JobState::Succeeded
-            && self.reported() == self.expected
-            && self.counted == self.expected
-            && self.judgement.is_ok()
+        self.record.state == JobState::Succeeded && self.agrees() && self.judgement.is_ok()
     }
 }
 
 /// `fleet demo`
 pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
     if common.connect.is_some() {
-        let message = "demo brings its own gateway and nodes: --connect has no meaning here";
+        let message =
+            "demo brings its own gateway and nodes: --connect or FLEET_CONNECT has no meaning here";
         return Err(Failure::Usage(message.to_owned()));
     }
     let began = Instant::now();
@@ -185,7 +198,7 @@ pub(crate) async fn demo(common: &Common) -> Result<(), Failure> {
             None => format!("NOT started together: {:?}", together.error),
         });
         let words = if good {
-            "Every pulse is where the commands say, by the oracle, the ledgers and the counters."
+            "Every pulse is where the commands say, by oracle, ledgers and counters."
         } else {
             "NOT every pulse is where the commands say."
         };
@@ -362,7 +375,7 @@ fn destination(name: &str, text: &str, axis_count: usize) -> Result<Vec<i64>> {
 
 fn table_of(played: &[Played]) -> comfy_table::Table {
     let mut table = show::table(&[
-        "node", "job", "state", "commands", "expected", "reported", "counted", "pulses", "verdict",
+        "node", "job", "state", "commands", "position", "pulses", "verdict",
     ]);
     for one in played {
         let progress = one.record.progress;
@@ -380,9 +393,7 @@ fn table_of(played: &[Played]) -> comfy_table::Table {
             Cell::new(one.record.job),
             Cell::new(one.record.state).fg(show::job_color(one.record.state)),
             Cell::new(format!("{}/{}", progress.done, progress.total)),
-            Cell::new(show::positions(&one.expected)),
-            Cell::new(show::positions(&one.reported())),
-            Cell::new(show::positions(&one.counted)),
+            Cell::new(one.positions()),
             Cell::new(pulses),
             verdict,
         ]);

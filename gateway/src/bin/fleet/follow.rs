@@ -143,7 +143,7 @@ fn note(followed: &mut BTreeMap<JobId, Followed>, payload: &[u8]) -> Result<(), 
 }
 
 fn new_bar(job: &JobId) -> ProgressBar {
-    let style = ProgressStyle::with_template("{prefix:<20} {bar:32.cyan} {pos:>7}/{len:<7} {msg}")
+    let style = ProgressStyle::with_template("{prefix:<14} {bar:20.cyan} {pos:>7}/{len:<7} {msg}")
         .expect("the template is legal")
         .progress_chars("━╸─");
     // Without a terminal a bar draws nothing.

@@ -11,7 +11,7 @@ use crate::{
 use clap::CommandFactory;
 
 /// Name, subject and page.
-pub(crate) const TOPICS: [(&str, &str, &str); 5] = [
+pub(crate) const TOPICS: [(&str, &str, &str); 6] = [
     (
         "node",
         "add a node in five minutes",
@@ -26,6 +26,11 @@ pub(crate) const TOPICS: [(&str, &str, &str); 5] = [
         "trouble",
         "from symptoms to causes",
         include_str!("help/trouble.txt"),
+    ),
+    (
+        "client",
+        "jobs from any zenoh client: shell, Python, Rust, C",
+        include_str!("help/client.txt"),
     ),
     (
         "gcode",

@@ -1,16 +1,12 @@
 //! An ordinary zenoh client: the command line speaks to the fleet as anybody else would.
 
 use crate::args::{CONNECT_DEFAULT, Common};
+use client::{Fleet, FleetError};
 use gateway::security::home::read_secret;
-use keys::{
-    Keys, NodeId, Topic,
-    credentials::Credentials,
-    record::{ErrorReply, JobError},
-};
+use keys::{Keys, NodeId, Topic, credentials::Credentials, record::ErrorReply};
 use serde::de::DeserializeOwned;
 use std::{path::Path, time::Duration};
 use zenoh::{
-    Session,
     bytes::Encoding,
     handlers::FifoChannelHandler,
     pubsub::Subscriber,
@@ -18,6 +14,8 @@ use zenoh::{
     query::ConsolidationMode,
     sample::Sample,
 };
+
+pub(crate) use client::Answer;
 
 /// A subscriber that is read with `recv_async`.
 pub(crate) type Samples = Subscriber<FifoChannelHandler<Sample>>;
@@ -70,6 +68,19 @@ impl From<zenoh::Error> for Failure {
     }
 }
 
+impl From<FleetError> for Failure {
+    fn from(error: FleetError) -> Self {
+        match error {
+            FleetError::Refused(error) => Self::Failed(Some(error.to_string())),
+            FleetError::Silence(patience) => Self::Connection(format!(
+                "the gateway did not answer within {} s",
+                patience.as_secs_f64()
+            )),
+            other => Self::Connection(other.to_string()),
+        }
+    }
+}
+
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Self {
         Self::Failed(Some(error.to_string()))
@@ -79,15 +90,10 @@ impl From<std::io::Error> for Failure {
 /// Longest time for something large: a store of gigabytes by a slow link.
 const POUR_MAX: Duration = Duration::from_secs(6 * 3_600);
 
-/// One answer to a get.
-pub(crate) type Answer = Result<Vec<u8>, JobError>;
-
-/// See the module.
+/// The client that everybody else can have, and words for a terminal.
 pub(crate) struct Link {
-    session: Session,
-    keys: Keys,
+    fleet: Fleet,
     connect: String,
-    timeout: Duration,
 }
 
 /// Reads `--credentials`, or `--user` and `--password-file`.
@@ -144,27 +150,12 @@ impl Link {
         credentials: Option<&Credentials>,
         timeout: Duration,
     ) -> Result<Self, Failure> {
-        let text = |value: &str| serde_json::Value::from(value).to_string();
-        let mut config = zenoh::Config::default();
-        let mut set = |key: &str, value: String| {
-            config
-                .insert_json5(key, &value)
-                .map_err(|error| Failure::Usage(format!("--connect {connect}: {error}")))
-        };
         let known = connect.starts_with("tcp/") || connect.starts_with("tls/");
         if !known || !connect.contains(':') {
             let message = format!(
                 "--connect {connect}: an address has the form tcp/HOST:PORT or tls/HOST:PORT"
             );
             return Err(Failure::Usage(message));
-        }
-        set("mode", text("client"))?;
-        set("connect/endpoints", format!("[{}]", text(connect)))?;
-        set("scouting/multicast/enabled", "false".to_owned())?;
-        if let Some(credentials) = credentials {
-            for (key, value) in credentials.zenoh_settings() {
-                set(key, value)?;
-            }
         }
         let no_connection = |why: &str| {
             let whom = match credentials {
@@ -176,8 +167,12 @@ impl Link {
                  Is the gateway running (`fleet serve`), and is --connect its address?"
             ))
         };
-        let session = match tokio::time::timeout(timeout, zenoh::open(config)).await {
-            Ok(Ok(session)) => session,
+        let open = Fleet::open_with(connect, keys, credentials);
+        let fleet = match tokio::time::timeout(timeout, open).await {
+            Ok(Ok(fleet)) => fleet.with_patience(timeout),
+            Ok(Err(FleetError::Address(error))) => {
+                return Err(Failure::Usage(format!("--connect {connect}: {error}")));
+            }
             Ok(Err(_)) if credentials.is_none() => {
                 return Err(no_connection(
                     "nothing that speaks zenoh answers there, or it asks for a user",
@@ -194,21 +189,19 @@ impl Link {
             }
         };
         Ok(Self {
-            session,
-            keys,
+            fleet,
             connect: connect.to_owned(),
-            timeout,
         })
     }
 
     /// Returns the keys of the fleet.
     pub(crate) fn keys(&self) -> &Keys {
-        &self.keys
+        self.fleet.keys()
     }
 
     /// Returns the longest wait for an answer.
     pub(crate) fn timeout(&self) -> Duration {
-        self.timeout
+        self.fleet.patience()
     }
 
     /// Asks the gateway, with a payload or without.
@@ -232,12 +225,12 @@ impl Link {
         let answers = self.ask(selector, payload, attachment).await?;
         if answers.is_empty() {
             // A gateway answers for each job, if only that there is none.
-            let probe = format!("{}/job/gateway", self.keys.prefix());
+            let probe = format!("{}/job/gateway", self.keys().prefix());
             if self.ask(&probe, None, None).await?.is_empty() {
                 return Err(Failure::Connection(format!(
                     "no gateway answers: connected to {}, but nobody there serves the prefix `{}`",
                     self.connect,
-                    self.keys.prefix()
+                    self.keys().prefix()
                 )));
             }
         }
@@ -251,39 +244,7 @@ impl Link {
         payload: Option<(Vec<u8>, Encoding)>,
         attachment: Option<Vec<u8>>,
     ) -> Result<Vec<Answer>, Failure> {
-        // Without consolidation the order of the replies stays.
-        let mut get = self
-            .session
-            .get(selector)
-            .consolidation(ConsolidationMode::None)
-            .timeout(self.timeout);
-        if let Some((payload, encoding)) = payload {
-            get = get.payload(payload).encoding(encoding);
-        }
-        if let Some(attachment) = attachment {
-            get = get.attachment(attachment);
-        }
-        let replies = get.await?;
-        let mut answers = Vec::new();
-        while let Ok(reply) = replies.recv_async().await {
-            match reply.result() {
-                Ok(sample) => answers.push(Ok(sample.payload().to_bytes().into_owned())),
-                Err(error) => {
-                    let payload = error.payload().to_bytes();
-                    match serde_json::from_slice::<ErrorReply>(&payload) {
-                        Ok(reply) => answers.push(Err(reply.error)),
-                        // Zenoh's own, when the time is over.
-                        Err(_) => {
-                            return Err(Failure::Connection(format!(
-                                "the gateway did not answer within {} s",
-                                self.timeout.as_secs_f64()
-                            )));
-                        }
-                    }
-                }
-            }
-        }
-        Ok(answers)
+        Ok(self.fleet.answers(selector, payload, attachment).await?)
     }
 
     /// Asks for something large and gives each reply to `take` as it comes, behind everything else.
@@ -293,7 +254,8 @@ impl Link {
         mut take: impl FnMut(&[u8]) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
         let replies = self
-            .session
+            .fleet
+            .session()
             .get(selector)
             .consolidation(ConsolidationMode::None)
             .priority(Priority::Background)
@@ -301,10 +263,10 @@ impl Link {
             .await?;
         loop {
             let silence = || {
-                let seconds = self.timeout.as_secs_f64();
+                let seconds = self.timeout().as_secs_f64();
                 Failure::TimedOut(format!("the gateway said nothing for {seconds} s"))
             };
-            let next = tokio::time::timeout(self.timeout, replies.recv_async()).await;
+            let next = tokio::time::timeout(self.timeout(), replies.recv_async()).await;
             let Ok(reply) = next.map_err(|_| silence())? else {
                 return Ok(());
             };
@@ -323,25 +285,22 @@ impl Link {
 
     /// Puts bytes on a key so that they overtake everything.
     pub(crate) async fn put_now(&self, key: &str, payload: &[u8]) -> Result<(), Failure> {
-        self.session
-            .put(key, payload)
-            .encoding(Encoding::APPLICATION_JSON)
-            .priority(Priority::RealTime)
-            .congestion_control(CongestionControl::Block)
-            .express(true)
-            .await?;
-        Ok(())
+        Ok(self.fleet.put_now(key, payload).await?)
     }
 
     /// Puts a text on a key, or deletes what is there.
     pub(crate) async fn keep(&self, key: &str, text: Option<&[u8]>) -> Result<(), Failure> {
         match text {
             Some(text) => {
-                let put = self.session.put(key, text).encoding(Encoding::TEXT_PLAIN);
+                let put = self
+                    .fleet
+                    .session()
+                    .put(key, text)
+                    .encoding(Encoding::TEXT_PLAIN);
                 put.congestion_control(CongestionControl::Block).await?;
             }
             None => {
-                let delete = self.session.delete(key);
+                let delete = self.fleet.session().delete(key);
                 delete.congestion_control(CongestionControl::Block).await?;
             }
         }
@@ -350,7 +309,12 @@ impl Link {
 
     /// Asks whoever is there, and returns keys and payloads.
     pub(crate) async fn texts(&self, selector: &str) -> Result<Vec<(String, Vec<u8>)>, Failure> {
-        let replies = self.session.get(selector).timeout(self.timeout).await?;
+        let replies = self
+            .fleet
+            .session()
+            .get(selector)
+            .timeout(self.timeout())
+            .await?;
         let mut texts = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             if let Ok(sample) = reply.result() {
@@ -364,7 +328,12 @@ impl Link {
     /// Hears a key from now on.
     pub(crate) async fn subscribe(&self, key: &str) -> Result<Samples, Failure> {
         let channel = zenoh::handlers::FifoChannel::new(4_096);
-        Ok(self.session.declare_subscriber(key).with(channel).await?)
+        Ok(self
+            .fleet
+            .session()
+            .declare_subscriber(key)
+            .with(channel)
+            .await?)
     }
 
     /// Calls back for each value on a key, as it comes, until what is returned is dropped.
@@ -374,22 +343,29 @@ impl Link {
         key: &str,
         heard: impl Fn(Sample) + Send + Sync + 'static,
     ) -> Result<Subscriber<()>, Failure> {
-        Ok(self.session.declare_subscriber(key).callback(heard).await?)
+        Ok(self
+            .fleet
+            .session()
+            .declare_subscriber(key)
+            .callback(heard)
+            .await?)
     }
 
     /// Returns the nodes of this pattern that are there, whether or not there is a gateway.
     pub(crate) async fn alive(&self, pattern: &str) -> Result<Vec<NodeId>, Failure> {
-        let key = format!("{}/node/{pattern}/alive", self.keys.prefix());
+        let key = format!("{}/node/{pattern}/alive", self.keys().prefix());
         let replies = self
-            .session
+            .fleet
+            .session()
             .liveliness()
             .get(key)
-            .timeout(self.timeout)
+            .timeout(self.timeout())
             .await?;
         let mut nodes = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             if let Ok(sample) = reply.result()
-                && let Some(Topic::Node { node, .. }) = self.keys.parse(sample.key_expr().as_str())
+                && let Some(Topic::Node { node, .. }) =
+                    self.keys().parse(sample.key_expr().as_str())
                 && let Ok(node) = NodeId::new(node)
             {
                 nodes.push(node);
@@ -403,7 +379,7 @@ impl Link {
     /// Ends the session.
     pub(crate) async fn close(self) {
         // Whatever goes wrong here, the work is done.
-        let _ = tokio::time::timeout(Duration::from_secs(2), self.session.close()).await;
+        let _ = tokio::time::timeout(Duration::from_secs(2), self.fleet.session().close()).await;
     }
 }
 

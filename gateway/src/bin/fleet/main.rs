@@ -15,6 +15,7 @@ mod help;
 mod jog;
 mod kept;
 mod link;
+mod log;
 mod manage;
 mod pace;
 mod provision;
@@ -35,27 +36,16 @@ use args::{Common, Line, Verb};
 use clap::Parser;
 use keys::StopMode;
 use link::{Failure, Link};
-use std::{io::IsTerminal, process::ExitCode};
-use tracing_subscriber::EnvFilter;
+use std::process::ExitCode;
 
 #[tokio::main]
 async fn main() -> ExitCode {
     let line = Line::parse();
-    // A client's errors are told in its own words; the log of zenoh's is for who asks for it.
-    let log = match line.verb {
-        Verb::Serve(_) => "info,zenoh=error",
-        _ => "off",
+    let result = match &line.verb {
+        Verb::Serve(serve) => run_gateway(&line.common, serve).await,
+        verb => run_command(&line.common, verb).await,
     };
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log)))
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr);
-    // The same variable for every command, so that a unit file sets it once.
-    match std::env::var("FLEET_LOG").as_deref() {
-        Ok("json") => log.json().init(),
-        _ => log.init(),
-    }
-    match perform(&line.common, &line.verb).await {
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             if let Some(message) = failure.message() {
@@ -66,9 +56,25 @@ async fn main() -> ExitCode {
     }
 }
 
+async fn run_command(common: &Common, verb: &Verb) -> Result<(), Failure> {
+    // A client's errors are told in its own words; the log of zenoh's is for who asks for it.
+    let log = log::start("off", None)?;
+    let result = perform(common, verb).await;
+    log.end();
+    result
+}
+
+/// The gateway's settings say where its spans go.
+async fn run_gateway(common: &Common, line: &args::Serve) -> Result<(), Failure> {
+    let config = serve::config(common, line)?;
+    let log = log::start("info,zenoh=error", config.otlp.as_ref())?;
+    let result = serve::serve(config, line, common.json).await;
+    log.end();
+    result
+}
+
 async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
     match verb {
-        Verb::Serve(serve) => return serve::serve(common, serve).await,
         Verb::Config(config) => return serve::print_config(config),
         Verb::Help(line) => return help::help(line),
         Verb::Completions(line) => {

@@ -1,8 +1,12 @@
 //! `fleet provision`: tells a node on a serial port its name, network and router.
 
 use crate::{args::Common, link::Failure};
-use clap::Args;
-use keys::NodeId;
+use clap::{
+    Arg, ArgMatches, Args, Command, FromArgMatches,
+    builder::{PossibleValuesParser, TypedValueParser as _},
+};
+use gateway::security::home::read_secret;
+use keys::{NodeId, credentials::Credentials};
 use provision::{
     Host, Reply, Request, Setting,
     dialogue::{SIGNER_SHOWN_BYTES, Shown},
@@ -45,20 +49,17 @@ pub(crate) struct Provision {
     #[arg(long, value_name = "tcp/HOST:PORT")]
     router: Option<String>,
 
+    /// File that `fleet users` made for this node (DIR/NAME.json): its user and password. Without it:
+    /// --user and --password-file. Never the credentials of whoever runs this.
+    #[arg(long, value_name = "FILE", conflicts_with = "user")]
+    login: Option<PathBuf>,
+
     /// File with the public key (ed25519, 64 hexadecimal digits) that firmware must be signed with.
     #[arg(long, value_name = "FILE")]
     update_key_file: Option<PathBuf>,
 
-    /// Let the stored script `boot` run whenever the node starts; `--boot-script=no` forbids it again.
-    #[arg(
-        long,
-        value_name = "yes|no",
-        value_enum,
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "yes"
-    )]
-    boot_script: Option<YesNo>,
+    #[command(flatten)]
+    answers: Answers,
 
     /// File with the public keys of operators (DIR/signers of a secured fleet): the node executes only
     /// what one of them has signed. They replace those it was told before.
@@ -79,28 +80,6 @@ pub(crate) struct Provision {
     #[arg(long)]
     no_switches: bool,
 
-    /// C and D are connected, with their shift register; `--cd=no`: they are not.
-    #[arg(
-        long,
-        value_name = "yes|no",
-        value_enum,
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "yes"
-    )]
-    cd: Option<YesNo>,
-
-    /// The lidar is connected; `--lidar=no`: it is not.
-    #[arg(
-        long,
-        value_name = "yes|no",
-        value_enum,
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "yes"
-    )]
-    lidar: Option<YesNo>,
-
     /// Forget everything that the node was told before.
     #[arg(long)]
     clear: bool,
@@ -110,10 +89,65 @@ pub(crate) struct Provision {
     restart: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum YesNo {
-    Yes,
-    No,
+/// What is asked about a node: an option by this name, or with `=no` behind it.
+#[derive(Clone, Copy)]
+struct Question {
+    name: &'static str,
+    help: &'static str,
+    setting: fn(bool) -> Setting,
+}
+
+const QUESTIONS: [Question; 3] = [
+    Question {
+        name: "boot-script",
+        help: "Let the stored script `boot` run whenever the node starts; `--boot-script=no` forbids it again",
+        setting: Setting::BootScript,
+    },
+    Question {
+        name: "cd",
+        help: "C and D are connected, with their shift register; `--cd=no`: they are not",
+        setting: Setting::HasCd,
+    },
+    Question {
+        name: "lidar",
+        help: "The lidar is connected; `--lidar=no`: it is not",
+        setting: Setting::HasLidar,
+    },
+];
+
+/// The answers that were given to [`QUESTIONS`], in their order.
+#[derive(Debug)]
+struct Answers([Option<bool>; QUESTIONS.len()]);
+
+impl FromArgMatches for Answers {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let answer = |question: Question| matches.get_one(question.name).copied();
+        Ok(Self(QUESTIONS.map(answer)))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for Answers {
+    fn augment_args(command: Command) -> Command {
+        command.args(QUESTIONS.map(|question| {
+            Arg::new(question.name)
+                .long(question.name)
+                .help(question.help)
+                .value_name("yes|no")
+                .value_parser(PossibleValuesParser::new(["yes", "no"]).map(|word| word == "yes"))
+                .num_args(0..=1)
+                .require_equals(true)
+                .default_missing_value("yes")
+        }))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
 }
 
 /// Does it.
@@ -146,6 +180,16 @@ impl Provision {
         if let Some(router) = &self.router {
             settings.push(Setting::Router(short(router, "--router")?));
         }
+        if let Some(file) = &self.login {
+            let usage =
+                |error: String| Failure::Usage(format!("--login {}: {error}", file.display()));
+            let text = read_secret(file).map_err(|error| usage(error.to_string()))?;
+            let login = Credentials::from_json(&text).map_err(usage)?;
+            settings.push(Setting::Login(Some(Login {
+                user: short(&login.user, "--login")?,
+                password: short(&login.password, "--login")?,
+            })));
+        }
         if let (Some(user), Some(file)) = (&common.user, &common.password_file) {
             settings.push(Setting::Login(Some(Login {
                 user: short(user, "--user")?,
@@ -163,9 +207,6 @@ impl Provision {
             })?;
             settings.push(Setting::UpdateKey(Some(key)));
         }
-        if let Some(answer) = self.boot_script {
-            settings.push(Setting::BootScript(answer == YesNo::Yes));
-        }
         if let Some(file) = &self.signers {
             settings.push(Setting::NoSigners);
             settings.extend(signers(file)?.into_iter().map(Setting::Signer));
@@ -177,8 +218,8 @@ impl Provision {
             settings.push(Setting::NoSwitches);
         }
         settings.extend(self.switch.iter().copied().map(Setting::Switch));
-        settings.extend(self.cd.map(|has| Setting::HasCd(has == YesNo::Yes)));
-        settings.extend(self.lidar.map(|has| Setting::HasLidar(has == YesNo::Yes)));
+        let answers = QUESTIONS.iter().zip(self.answers.0);
+        settings.extend(answers.filter_map(|(question, answer)| answer.map(question.setting)));
         Ok(settings)
     }
 }

@@ -142,7 +142,7 @@ fn say_where(file: &Path, role: Role) {
     let file = file.display();
     match role {
         Role::Node => show::line(&format!(
-            "  user and password for its configuration: {file}"
+            "  tell the node: fleet provision PORT --login {file}"
         )),
         _ => show::line(&format!(
             "  hand out {file}: fleet --credentials {file} nodes"

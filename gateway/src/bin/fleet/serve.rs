@@ -14,12 +14,10 @@ use gateway::{
 };
 
 /// `fleet serve`
-pub(crate) async fn serve(common: &Common, serve: &Serve) -> Result<(), Failure> {
-    let config = config(common, serve)?;
+pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> Result<(), Failure> {
     let reloads = supervisor::reloads(serve.config.clone());
     let joined = !config.connect.is_empty();
     let open = config.secure.is_none();
-    let json = common.json;
     let ready = move |ready: Ready<'_>| {
         let Ready {
             locators,
@@ -119,7 +117,7 @@ pub(crate) fn print_config(config: &Config) -> Result<(), Failure> {
 }
 
 /// The file's settings, and over them what was said.
-fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
+pub(crate) fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
     let settings = match &serve.config {
         Some(file) => Settings::read(file).map_err(Failure::Usage)?,
         None => Settings::default(),
@@ -142,6 +140,9 @@ fn config(common: &Common, serve: &Serve) -> Result<GatewayConfig, Failure> {
     }
     if serve.http.is_some() {
         config.http = serve.http;
+    }
+    if serve.otlp.is_some() {
+        config.otlp.clone_from(&serve.otlp);
     }
     config.users.clone_from(&serve.users);
     config.credentials = credentials(common)?;
