@@ -147,6 +147,7 @@ impl<B: StepBackend> Motion<'_, B> {
                 self.note(&command, runs, end);
             }
             self.watch_edge(first_edge_at);
+            self.dry_by_hold &= self.rests_on_path();
             if let Some(start) = self.start.as_mut()
                 && start.first_edge_at.is_none()
             {
