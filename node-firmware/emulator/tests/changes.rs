@@ -382,7 +382,7 @@ fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
                         accel_hz_per_s: accel,
                         jerk_hz_per_s2: match shape {
                             RampShape::Jerk { jerk_hz_per_s2 } => jerk_hz_per_s2,
-                            RampShape::Trapezoid { .. } => 0,
+                            RampShape::Trapezoid { .. } | RampShape::Smooth { .. } => 0,
                         },
                     };
                 }

@@ -334,6 +334,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     pub fn features(&self) -> Features {
         let mut features = Features::BASIC
             .with(Features::RAMPS)
+            .with(Features::SMOOTH)
             .with(Features::BARRIERS);
         if self.cd.is_some() {
             features = features.with(Features::CD);

@@ -103,9 +103,9 @@ impl Piece {
             tool: squares.sum::<f64>().sqrt(),
             law: Law {
                 speed: f64::from(ramp.speed_hz),
-                accel: f64::from(ramp.accel_hz_per_s),
+                accel: Ideal::accel_of(&ramp),
                 jerk: match ramp.shape {
-                    RampShape::Trapezoid { .. } => None,
+                    RampShape::Trapezoid { .. } | RampShape::Smooth { .. } => None,
                     RampShape::Jerk { jerk_hz_per_s2 } => Some(f64::from(jerk_hz_per_s2)),
                 },
                 ramp,

@@ -133,7 +133,7 @@ impl<'p> Track<'p> {
                 length: most,
                 speed: piece.law.speed * share,
                 accel: piece.law.accel * share,
-                enter: piece.ideal.at(0.0).speed * share,
+                enter: piece.ideal.at(0.0).speed.min(piece.law.speed) * share,
                 leave: 0.0,
                 begin_s: 0.0,
             };
@@ -150,7 +150,11 @@ impl<'p> Track<'p> {
             let reached = before.enter.powi(2) + 2.0 * before.accel * before.length;
             legs[index].enter = legs[index].enter.min(reached.sqrt());
         }
-        let mut leave = 0.0f64;
+        // Rest, or the speed from which a smoothstep rests.
+        let mut leave = pieces.last().map_or(0.0, |piece| {
+            let speed = piece.ideal.at(piece.ideal.total_s()).speed;
+            speed.min(piece.law.speed) * piece.tool / piece.most
+        });
         for leg in legs.iter_mut().rev() {
             leg.leave = leave;
             let braked = (leave * leave + 2.0 * leg.accel * leg.length).sqrt();
@@ -410,6 +414,10 @@ fn fall_s(piece: &Piece, speed: f64) -> f64 {
             let linear = match law.ramp.shape {
                 RampShape::Trapezoid { linear_steps, .. } => f64::from(linear_steps),
                 RampShape::Jerk { .. } => 0.0,
+                // Not longer than all of its fall.
+                RampShape::Smooth { .. } => {
+                    return Ideal::of_ramp(1 << 50, &law.ramp).fall_s();
+                }
             };
             Ideal::linear(far, speed, law.accel, linear, 0.0).fall_s()
         }
