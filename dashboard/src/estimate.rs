@@ -109,6 +109,22 @@ impl Walk {
                 let n = steps.unsigned_abs() as f64;
                 ramp_s(n, f.speed_hz, f.accel, f.jerk, f.linear_steps, f.jump_steps)
             }
+            JobCommand::SmoothRamp(f) => {
+                self.shift(f.axis, f.steps.into());
+                let n = f64::from(f.steps.unsigned_abs());
+                smooth_s(n, f.start_hz, f.speed_hz, f.ramp_steps)
+            }
+            JobCommand::SmoothRampTo(f) => {
+                let from = self.at.get(usize::from(f.axis)).copied().unwrap_or(0);
+                let steps = f.position.saturating_sub(from);
+                self.shift(f.axis, steps);
+                smooth_s(
+                    steps.unsigned_abs() as f64,
+                    f.start_hz,
+                    f.speed_hz,
+                    f.ramp_steps,
+                )
+            }
             JobCommand::Line(f) => {
                 for (axis, steps) in (0..).zip(&f.steps) {
                     self.shift(axis, (*steps).into());
@@ -180,6 +196,31 @@ impl Walk {
 
 fn constant_s(steps: i32, delay_us: u32) -> f64 {
     f64::from(steps.unsigned_abs()) * f64::from(delay_us) / 1e6
+}
+
+/// Returns the time of a move of n steps by a smoothstep from `start` to `speed` Hz over so many
+/// steps, and back, s: half a step at the first speed, then ∫ ds / v by Simpson's rule. The way is
+/// taken as the cube of what is summed over, which makes the slow begin as wide as the rest.
+fn smooth_s(n: f64, start: u32, speed: u32, ramp_steps: u32) -> f64 {
+    const PARTS: u32 = 400;
+    let (start, gain) = (f64::from(start), f64::from(speed) - f64::from(start));
+    let curve = f64::from(ramp_steps) - 1.0;
+    if n <= 0.0 || start <= 0.0 || curve <= 0.0 {
+        return 0.0;
+    }
+    let most = ((n / 2.0 - 0.5) / curve).clamp(0.0, 1.0).cbrt();
+    let value = |part: u32| {
+        let y = most * f64::from(part) / f64::from(PARTS);
+        let x = y * y * y;
+        3.0 * y * y / (start + gain * x * x * (3.0 - 2.0 * x))
+    };
+    let inner: f64 = (1..PARTS)
+        .map(|part| value(part) * if part % 2 == 1 { 4.0 } else { 2.0 })
+        .sum();
+    let rise =
+        0.5 / start + (value(0) + inner + value(PARTS)) * most / 3.0 / f64::from(PARTS) * curve;
+    let coast = (n - 1.0 - 2.0 * curve).max(0.0) / (start + gain);
+    2.0 * rise + coast
 }
 
 /// Returns the time of a move of n steps with a ramp at both ends, s.
@@ -314,6 +355,22 @@ mod tests {
         let linear =
             r#"{"ramp":{"axis":0,"steps":2000,"speed_hz":1000,"accel":2000,"linear_steps":12}}"#;
         takes(linear, expected);
+    }
+
+    #[test]
+    fn a_smoothstep_takes_what_its_curve_says() {
+        // ESP-IDF's example: ∫ ds / v over 499 steps twice, 5,000 steps at the top and one at the start.
+        let ramp = |steps: u32| {
+            format!(
+                r#"{{"smooth_ramp":{{"axis":0,"steps":{steps},"start_hz":500,"speed_hz":1500,"ramp_steps":500}}}}"#
+            )
+        };
+        takes(&ramp(6_000), 4.483_577_419_938);
+        takes(&ramp(1), 0.002);
+        takes(
+            r#"{"smooth_ramp_to":{"axis":1,"position":-1,"start_hz":20,"speed_hz":21,"ramp_steps":2}}"#,
+            0.05,
+        );
     }
 
     #[test]

@@ -193,6 +193,10 @@ fn what_a_node_cannot_do_is_refused_with_the_place() {
             "commands[0].line: not supported by this node's firmware",
         ),
         (
+            json!([{"smooth_ramp": {"axis": 0, "steps": 10, "start_hz": 1, "speed_hz": 5, "ramp_steps": 2}}]),
+            "commands[0].smooth_ramp: not supported by this node's firmware",
+        ),
+        (
             json!([{"home": {"axis": 0}}]),
             "commands[0].home.axis: axis 0 of this node has no reference switch",
         ),
@@ -234,6 +238,16 @@ fn what_a_node_cannot_do_is_refused_with_the_place() {
     rig.node("left").features = Features::BASIC.with(Features::RAMPS);
     rig.run(2 * S);
     rig.accept("left", &json!({"commands": [ramp]}));
+    // Ramps alone are not all of them.
+    let smooth = json!({"smooth_ramp_to":
+        {"axis": 0, "position": 10, "start_hz": 1, "speed_hz": 5, "ramp_steps": 2}});
+    let (_, message) = rig.refuse("left", &json!({"commands": [ramp, smooth]}));
+    let expected = "commands[1].smooth_ramp_to: not supported by this node's firmware";
+    assert_eq!(message, expected);
+    let features = Features::BASIC.with(Features::RAMPS);
+    rig.node("left").features = features.with(Features::SMOOTH);
+    rig.run(2 * S);
+    rig.accept("left", &json!({"commands": [smooth]}));
 }
 
 #[test]

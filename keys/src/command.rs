@@ -118,7 +118,7 @@ pub enum Command {
 pub struct Ramp {
     /// Speed to reach, Hz.
     pub speed_hz: u32,
-    /// Acceleration, steps/s².
+    /// Acceleration, steps/s²; not used by [`RampShape::Smooth`].
     pub accel_hz_per_s: u32,
     /// The limit of jerk, or the shape of the first steps.
     pub shape: RampShape,
@@ -139,6 +139,15 @@ pub enum RampShape {
     Jerk {
         /// Jerk, steps/s³, from 1.
         jerk_hz_per_s2: u32,
+    },
+    /// ESP-IDF's smoothstep: over `ramp_steps` steps speed goes from `start_hz` to the ramp's by
+    /// 3x² - 2x³, x being the share of the way. A shorter move takes the first half of its way of the
+    /// rise, and back. Known to nodes with [`Features::SMOOTH`].
+    Smooth {
+        /// First and last speed, Hz, from 1, below the ramp's.
+        start_hz: u32,
+        /// Steps from the first speed to the ramp's, from 2.
+        ramp_steps: u32,
     },
 }
 
@@ -161,6 +170,8 @@ impl Features {
     pub const CD: Self = Self(32);
     /// Hold, resume and speed for clients.
     pub const PACE: Self = Self(64);
+    /// [`RampShape::Smooth`].
+    pub const SMOOTH: Self = Self(128);
     /// Jogging by hand.
     pub const JOG: Self = Self(256);
     /// Messages behind the epoch of their gateway, see [`crate::epoch`].
@@ -197,6 +208,7 @@ const _: () = {
         Features::LUA,
         Features::CD,
         Features::PACE,
+        Features::SMOOTH,
         Features::JOG,
         Features::EPOCH,
     ];
@@ -225,7 +237,11 @@ impl Command {
             | Self::Laser { .. }
             | Self::LidarRead
             | Self::SetPosition { .. } => Features::BASIC,
-            Self::Ramp { .. } | Self::RampTo { .. } | Self::Line { .. } => Features::RAMPS,
+            Self::Ramp { ramp, .. } | Self::RampTo { ramp, .. } => match ramp.shape {
+                RampShape::Smooth { .. } => Features::RAMPS.with(Features::SMOOTH),
+                RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => Features::RAMPS,
+            },
+            Self::Line { .. } => Features::RAMPS,
             Self::Home { axis } => Features::HOMING.with(Features::home_of(*axis)),
             Self::Barrier { .. } => Features::BARRIERS,
             Self::MoveC { .. } | Self::MoveD { .. } | Self::StatusCd => Features::CD,
@@ -284,7 +300,7 @@ impl Command {
                 [head(5, axis), low, high, 0, 0, 0, 0, 0]
             }
             Self::Ramp { axis, steps, ramp } => {
-                let (kind, shape) = ramp.shape.to_words();
+                let (kind, [shape, more]) = ramp.shape.to_words();
                 [
                     head(6, axis) | kind << 16,
                     steps as u32,
@@ -292,7 +308,7 @@ impl Command {
                     ramp.speed_hz,
                     ramp.accel_hz_per_s,
                     shape,
-                    0,
+                    more,
                     0,
                 ]
             }
@@ -301,7 +317,7 @@ impl Command {
                 position_steps,
                 ramp,
             } => {
-                let (kind, shape) = ramp.shape.to_words();
+                let (kind, [shape, more]) = ramp.shape.to_words();
                 let [low, high] = words_from_i64(position_steps);
                 [
                     head(7, axis) | kind << 16,
@@ -310,7 +326,7 @@ impl Command {
                     ramp.speed_hz,
                     ramp.accel_hz_per_s,
                     shape,
-                    0,
+                    more,
                     0,
                 ]
             }
@@ -351,7 +367,7 @@ impl Command {
             Ok(Ramp {
                 speed_hz: words[3],
                 accel_hz_per_s: words[4],
-                shape: RampShape::from_words(head >> 16 & 0xff, words[5])?,
+                shape: RampShape::from_words(head >> 16 & 0xff, [words[5], words[6]])?,
             })
         };
         Ok(match head as u8 {
@@ -410,17 +426,24 @@ impl Command {
 }
 
 impl RampShape {
-    fn to_words(self) -> (u32, u32) {
+    fn to_words(self) -> (u32, [u32; 2]) {
         match self {
             Self::Trapezoid {
                 linear_steps,
                 jump_steps,
-            } => (0, u32::from(linear_steps) | u32::from(jump_steps) << 16),
-            Self::Jerk { jerk_hz_per_s2 } => (1, jerk_hz_per_s2),
+            } => {
+                let steps = u32::from(linear_steps) | u32::from(jump_steps) << 16;
+                (0, [steps, 0])
+            }
+            Self::Jerk { jerk_hz_per_s2 } => (1, [jerk_hz_per_s2, 0]),
+            Self::Smooth {
+                start_hz,
+                ramp_steps,
+            } => (2, [start_hz, ramp_steps]),
         }
     }
 
-    fn from_words(kind: u32, shape: u32) -> Result<Self, WordsError> {
+    fn from_words(kind: u32, [shape, more]: [u32; 2]) -> Result<Self, WordsError> {
         match kind {
             0 => Ok(Self::Trapezoid {
                 linear_steps: shape as u16,
@@ -428,6 +451,10 @@ impl RampShape {
             }),
             1 => Ok(Self::Jerk {
                 jerk_hz_per_s2: shape,
+            }),
+            2 => Ok(Self::Smooth {
+                start_hz: shape,
+                ramp_steps: more,
             }),
             _ => Err(WordsError),
         }

@@ -11,7 +11,7 @@ mod signature;
 pub use command::{
     BarrierFields, CommandError, HomeFields, JobCommand, LaserFields, LidarReadFields, LineFields,
     MoveCFields, MoveDFields, MoveFields, PauseFields, RampFields, RampToFields, SetPositionFields,
-    StatusCdFields, SyncMoveFields, WaitResumeFields,
+    SmoothRampFields, SmoothRampToFields, StatusCdFields, SyncMoveFields, WaitResumeFields,
 };
 pub use signature::{Hex, JobSignature};
 

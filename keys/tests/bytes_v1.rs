@@ -616,3 +616,45 @@ fn vitals_have_their_bytes_and_are_read_with_fewer_fields_or_more() {
         assert!(Vitals::decode(nonsense).is_err(), "{nonsense:?}");
     }
 }
+
+#[test]
+fn a_smooth_ramp_has_its_bytes_and_survives_its_words() {
+    let ramp = Ramp {
+        speed_hz: 1_500,
+        accel_hz_per_s: 0,
+        shape: RampShape::Smooth {
+            start_hz: 500,
+            ramp_steps: 70_000,
+        },
+    };
+    let cases = [
+        (
+            Command::Ramp {
+                axis: AxisId(2),
+                steps: -6_000,
+                ramp,
+            },
+            "01 06 02 df 5d dc 0b 00 02 f4 03 f0 a2 04",
+        ),
+        (
+            Command::RampTo {
+                axis: AxisId(1),
+                position_steps: 1 << 33,
+                ramp,
+            },
+            "01 07 01 80 80 80 80 40 dc 0b 00 02 f4 03 f0 a2 04",
+        ),
+    ];
+    for (command, expected) in cases {
+        check(command, expected);
+        assert_eq!(Command::from_words(&command.to_words()), Ok(command));
+        assert_eq!(
+            command.feature(),
+            Features::RAMPS.with(Features::SMOOTH),
+            "a firmware that does not know it is not told"
+        );
+    }
+    check(Features::SMOOTH, "01 80 01");
+    let unknown = 6 | 3 << 16;
+    assert!(Command::from_words(&[unknown, 1, 0, 1, 1, 1, 1, 0]).is_err());
+}

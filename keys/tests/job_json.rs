@@ -2,7 +2,8 @@
 #![cfg(feature = "json")]
 
 use keys::{
-    Command,
+    AxisId, Command,
+    command::{Ramp, RampShape},
     job::{GROUP_NODES_MAX, GroupRequest, JobRequest, Offline, Work},
     record::{ErrorCode, JobRecord},
 };
@@ -497,6 +498,91 @@ fn commands_of_c_and_d_are_read_and_their_errors_have_their_places() {
         (
             r#"{"statcd":[]}"#,
             "commands[1].statcd: invalid type: sequence",
+        ),
+    ];
+    for (command, words) in cases {
+        let text = format!(r#"{{"commands":[{{"lidar_read":{{}}}},{command}]}}"#);
+        let (code, message) = refused(&text);
+        assert_eq!(code, ErrorCode::BadCommand, "{text}: {message}");
+        assert!(
+            message.contains(words),
+            "{text}\n  said    {message}\n  without {words}"
+        );
+    }
+}
+
+#[test]
+fn smooth_ramps_are_read_and_their_errors_have_their_places() {
+    let text = br#"{"commands":[{"smooth_ramp":{"axis":1,"steps":-6000,"start_hz":500,"speed_hz":1500,"ramp_steps":500}},{"smooth_ramp_to":{"axis":0,"position":7,"start_hz":1,"speed_hz":2,"ramp_steps":2}}]}"#;
+    let job = JobRequest::from_json(text).expect("legal");
+    let Work::Commands(list) = &job.work else {
+        panic!("commands were given")
+    };
+    let smooth = |start_hz, speed_hz, ramp_steps| Ramp {
+        speed_hz,
+        accel_hz_per_s: 0,
+        shape: RampShape::Smooth {
+            start_hz,
+            ramp_steps,
+        },
+    };
+    let commands: Vec<_> = list.iter().map(|one| one.to_command(|_| 0)).collect();
+    assert_eq!(
+        commands,
+        [
+            Command::Ramp {
+                axis: AxisId(1),
+                steps: -6_000,
+                ramp: smooth(500, 1_500, 500),
+            },
+            Command::RampTo {
+                axis: AxisId(0),
+                position_steps: 7,
+                ramp: smooth(1, 2, 2),
+            },
+        ]
+    );
+    let again = format!(
+        r#"{{"commands":{}}}"#,
+        serde_json::to_string(list).expect("JSON")
+    );
+    assert_eq!(JobRequest::from_json(again.as_bytes()), Ok(job.clone()));
+    let mut buffer = [0; 64];
+    let bytes = keys::version::encode(&job, &mut buffer).expect("fits");
+    assert_eq!(JobRequest::from_postcard(bytes), Ok(job));
+
+    let cases = [
+        (
+            r#"{"smooth_ramp":{"axis":0,"steps":0,"start_hz":1,"speed_hz":2,"ramp_steps":2}}"#,
+            "commands[1].smooth_ramp.steps: 0 steps move nothing",
+        ),
+        (
+            r#"{"smooth_ramp":{"axis":0,"steps":1,"start_hz":0,"speed_hz":2,"ramp_steps":2}}"#,
+            "commands[1].smooth_ramp.start_hz: 0 is out of range; it must be at least 1",
+        ),
+        (
+            r#"{"smooth_ramp":{"axis":0,"steps":1,"start_hz":5,"speed_hz":5,"ramp_steps":2}}"#,
+            "commands[1].smooth_ramp.start_hz: 5 is out of range; it must be below speed_hz",
+        ),
+        (
+            r#"{"smooth_ramp_to":{"axis":0,"position":1,"start_hz":1,"speed_hz":1000001,"ramp_steps":2}}"#,
+            "commands[1].smooth_ramp_to.speed_hz: 1000001 is out of range; 1 to 1000000",
+        ),
+        (
+            r#"{"smooth_ramp_to":{"axis":0,"position":1,"start_hz":1,"speed_hz":2,"ramp_steps":1}}"#,
+            "commands[1].smooth_ramp_to.ramp_steps: 1 is out of range; it must be at least 2",
+        ),
+        (
+            r#"{"smooth_ramp":{"axis":0,"steps":1,"start_hz":1,"speed_hz":2}}"#,
+            "commands[1].smooth_ramp: missing field `ramp_steps`",
+        ),
+        (
+            r#"{"smooth_ramp":{"axis":0,"steps":1,"start_hz":1,"speed_hz":2,"ramp_steps":2,"accel":1}}"#,
+            "commands[1].smooth_ramp.accel: unknown field `accel`",
+        ),
+        (
+            r#"{"ramp":{"axis":0,"steps":1,"speed_hz":2,"accel":1,"ramp_steps":2}}"#,
+            "commands[1].ramp.ramp_steps: unknown field `ramp_steps`",
         ),
     ];
     for (command, words) in cases {

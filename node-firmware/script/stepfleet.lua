@@ -67,6 +67,24 @@ function motor.queue_ramp(axis, steps, speed_hz, accel, options) end
 ---@return CommandId
 function motor.queue_ramp_to(axis, position, speed_hz, accel, options) end
 
+---A move that speeds up and slows down by ESP-IDF's smoothstep, 3x² - 2x³ of the way.
+---@param axis integer
+---@param steps integer
+---@param start_hz integer First and last speed, below speed_hz.
+---@param speed_hz integer
+---@param ramp_steps integer Steps from start_hz to speed_hz, from 2; a shorter move turns back half way.
+---@return CommandId
+function motor.queue_smooth_ramp(axis, steps, start_hz, speed_hz, ramp_steps) end
+
+---The same to a position.
+---@param axis integer
+---@param position integer
+---@param start_hz integer
+---@param speed_hz integer
+---@param ramp_steps integer
+---@return CommandId
+function motor.queue_smooth_ramp_to(axis, position, start_hz, speed_hz, ramp_steps) end
+
 ---All axes start and end together, straight in step space; lines that follow each other are joined
 ---as fast as the corner allows.
 ---@param steps integer[] One to four numbers, for axes 0 to 3.

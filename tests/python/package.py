@@ -11,7 +11,7 @@ import unittest
 from datetime import datetime, timedelta, timezone
 
 import stepfleet
-from stepfleet import Fleet, NoGateway, Refused, TimedOut, line, move, pause
+from stepfleet import Fleet, NoGateway, Refused, TimedOut, line, move, pause, smooth_ramp, smooth_ramp_to
 
 arguments = argparse.ArgumentParser()
 arguments.add_argument("--locator", required=True)
@@ -58,13 +58,15 @@ class Package(unittest.TestCase):
             move(axis=0, delay_us=100, steps=500),
             pause(ms=1),
             line(steps=[100, -50], speed_hz=1000, accel=100_000),
+            smooth_ramp(axis=0, steps=40, start_hz=200, speed_hz=2000, ramp_steps=15),
+            smooth_ramp_to(axis=0, position=600, start_hz=200, speed_hz=2000, ramp_steps=15),
         ]
         receipt = self.fleet.submit("left", commands, id="py-1", timeout_s=60)
         self.assertEqual(receipt.job, "py-1")
         states = [record.state for record in self.fleet.follow("py-1", timeout=60)]
         self.assertEqual(states[-1], "succeeded")
         record = self.fleet.wait("py-1")
-        self.assertEqual((record.progress.done, record.progress.total), (3, 3))
+        self.assertEqual((record.progress.done, record.progress.total), (5, 5))
         self.assertEqual(len(record.result.position), 2)
         self.assertLessEqual(record.created, record.updated)
         self.assertEqual(self.fleet.submit("left", commands, id="py-1").state, "succeeded")

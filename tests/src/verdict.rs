@@ -9,12 +9,16 @@ use emulator::{
 };
 use keys::{
     AxisId, Command, JobId, NodeId, QueueId,
+    command::RampShape,
     record::{JobRecord, JobResult, JobState},
 };
 use std::collections::BTreeMap;
 
 /// Numbers of commands are below this: a ramp carries its own in the remainder of its acceleration.
 const NUMBERS: u32 = 4_096;
+
+/// A smooth ramp has two steps at least.
+const RAMP_STEPS_MIN: u32 = 2;
 
 /// The work of one node: a job, or a node's part of a synchronized job.
 type Work = (JobId, Option<NodeId>);
@@ -108,12 +112,20 @@ impl Book {
         accel_hz_per_s / NUMBERS * NUMBERS + number
     }
 
+    /// Returns the steps of a smooth ramp that carry this number.
+    pub fn ramp_steps_of(number: u32) -> u32 {
+        RAMP_STEPS_MIN + number
+    }
+
     fn find(&self, command: &Command) -> Option<(Work, usize)> {
         let number = match *command {
             Command::Move { delay_us, .. } => delay_us,
-            Command::Ramp { ramp, .. } | Command::RampTo { ramp, .. } => {
-                ramp.accel_hz_per_s % NUMBERS
-            }
+            Command::Ramp { ramp, .. } | Command::RampTo { ramp, .. } => match ramp.shape {
+                RampShape::Smooth { ramp_steps, .. } => ramp_steps - RAMP_STEPS_MIN,
+                RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => {
+                    ramp.accel_hz_per_s % NUMBERS
+                }
+            },
             Command::Line { accel_hz_per_s, .. } => accel_hz_per_s % NUMBERS,
             Command::SetPosition { position_steps, .. } => u32::try_from(position_steps).ok()?,
             _ => return None,

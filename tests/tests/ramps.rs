@@ -66,6 +66,15 @@ fn command(random: &mut Random, number: u32) -> Value {
     match random.below(8) {
         0 => json!({"move": {"axis": axis, "delay_us": number, "steps": steps % 40 * 2 + 1}}),
         1 => json!({"set_position": {"axis": axis, "position": number}}),
+        2 if random.below(2) == 0 => {
+            let start_hz = spread(random, 100, 5_000);
+            let fields = json!({
+                "start_hz": start_hz,
+                "speed_hz": start_hz + spread(random, 1, 100_000),
+                "ramp_steps": Book::ramp_steps_of(number),
+            });
+            smooth(random, fields, axis, steps)
+        }
         2..5 => {
             let fields = limits(random, json!({"axis": axis, "steps": steps}), number);
             json!({"ramp": shape(random, fields)})
@@ -79,6 +88,16 @@ fn command(random: &mut Random, number: u32) -> Value {
             line(random, steps, number)
         }
     }
+}
+
+fn smooth(random: &mut Random, mut fields: Value, axis: u64, steps: i64) -> Value {
+    fields["axis"] = axis.into();
+    if random.below(3) == 0 {
+        fields["position"] = steps.into();
+        return json!({"smooth_ramp_to": fields});
+    }
+    fields["steps"] = steps.into();
+    json!({"smooth_ramp": fields})
 }
 
 fn line(random: &mut Random, steps: [i64; 2], number: u32) -> Value {

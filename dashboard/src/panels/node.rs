@@ -426,9 +426,10 @@ fn setup_ui(ui: &mut Ui, node: &Node) {
 
 /// Returns the names of what a firmware can do.
 fn features(features: Features) -> String {
-    const NAMES: [(Features, &str); 6] = [
+    const NAMES: [(Features, &str); 7] = [
         (Features::BASIC, "moves"),
         (Features::RAMPS, "ramps and lines"),
+        (Features::SMOOTH, "smoothstep"),
         (Features::HOMING, "homing"),
         (Features::BARRIERS, "synchronized starts"),
         (Features::LUA, "Lua"),

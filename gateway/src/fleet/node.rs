@@ -518,7 +518,11 @@ impl Node {
 
 /// Returns the word of a command in a job's text.
 fn word_of(command: &keys::Command) -> &'static str {
-    use keys::Command;
+    use keys::{
+        Command,
+        command::{Ramp, RampShape},
+    };
+    let is_smooth = |ramp: &Ramp| matches!(ramp.shape, RampShape::Smooth { .. });
     match command {
         Command::Move { .. } => "move",
         Command::SyncMove { .. } => "sync_move",
@@ -526,6 +530,8 @@ fn word_of(command: &keys::Command) -> &'static str {
         Command::Laser { .. } => "laser",
         Command::LidarRead => "lidar_read",
         Command::SetPosition { .. } => "set_position",
+        Command::Ramp { ramp, .. } if is_smooth(ramp) => "smooth_ramp",
+        Command::RampTo { ramp, .. } if is_smooth(ramp) => "smooth_ramp_to",
         Command::Ramp { .. } => "ramp",
         Command::RampTo { .. } => "ramp_to",
         Command::Line { .. } => "line",

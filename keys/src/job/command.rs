@@ -62,6 +62,12 @@ pub enum JobCommand {
     /// A rest until a client resumes the node.
     #[serde(deserialize_with = "object")]
     WaitResume(WaitResumeFields),
+    /// A relative move with ESP-IDF's smoothstep at both ends.
+    #[serde(deserialize_with = "object")]
+    SmoothRamp(SmoothRampFields),
+    /// An absolute move with ESP-IDF's smoothstep at both ends.
+    #[serde(deserialize_with = "object")]
+    SmoothRampTo(SmoothRampToFields),
 }
 
 /// Reads the fields of a command. In text they have names: serde alone would take an array, too.
@@ -219,6 +225,37 @@ fields! {
     WaitResumeFields {}
 }
 fields! {
+    /// Fields of `smooth_ramp`. (Not of `ramp`: in postcard fields have places, not names, and
+    /// `accel` means nothing here.)
+    SmoothRampFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Steps with sign, never 0.
+        steps: i32,
+        /// First and last speed, Hz, from 1, below `speed_hz`.
+        start_hz: u32,
+        /// Speed, Hz, 2 to [`SPEED_HZ_MAX`].
+        speed_hz: u32,
+        /// Steps from the first speed to `speed_hz`, from 2; a shorter move turns back half way.
+        ramp_steps: u32,
+    }
+}
+fields! {
+    /// Fields of `smooth_ramp_to`.
+    SmoothRampToFields {
+        /// Axis number, from 0.
+        axis: u8,
+        /// Target, steps.
+        position: i64,
+        /// First and last speed, Hz, from 1, below `speed_hz`.
+        start_hz: u32,
+        /// Speed, Hz, 2 to [`SPEED_HZ_MAX`].
+        speed_hz: u32,
+        /// Steps from the first speed to `speed_hz`, from 2; a shorter move turns back half way.
+        ramp_steps: u32,
+    }
+}
+fields! {
     /// Fields of `barrier`.
     BarrierFields {
         /// Name of the meeting point, the same in every part that meets there.
@@ -284,6 +321,8 @@ impl JobCommand {
             Self::MoveD(_) => "movd",
             Self::StatusCd(_) => "statcd",
             Self::WaitResume(_) => "wait_resume",
+            Self::SmoothRamp(_) => "smooth_ramp",
+            Self::SmoothRampTo(_) => "smooth_ramp_to",
         }
     }
 
@@ -345,6 +384,19 @@ impl JobCommand {
             }
             _ => Ok(()),
         };
+        let smooth = |start_hz: u32, speed_hz: u32, ramp_steps: u32| {
+            speed(speed_hz)?;
+            positive("start_hz", start_hz)?;
+            if start_hz >= speed_hz {
+                let message = format!("{start_hz} is out of range; it must be below speed_hz");
+                return Err(self.error("start_hz", message));
+            }
+            if ramp_steps < 2 {
+                let message = format!("{ramp_steps} is out of range; it must be at least 2");
+                return Err(self.error("ramp_steps", message));
+            }
+            Ok(())
+        };
         match self {
             Self::Move(fields) => {
                 delay("delay_us", fields.delay_us)?;
@@ -370,6 +422,13 @@ impl JobCommand {
                 speed(fields.speed_hz)?;
                 positive("accel", fields.accel)?;
                 shape(fields.jerk, fields.linear_steps, fields.jump_steps)
+            }
+            Self::SmoothRamp(fields) => {
+                steps("steps", fields.steps)?;
+                smooth(fields.start_hz, fields.speed_hz, fields.ramp_steps)
+            }
+            Self::SmoothRampTo(fields) => {
+                smooth(fields.start_hz, fields.speed_hz, fields.ramp_steps)
             }
             Self::Line(fields) => {
                 if fields.steps.is_empty() || fields.steps.len() > LINE_AXES {
@@ -427,6 +486,14 @@ impl JobCommand {
             None => RampShape::Trapezoid {
                 linear_steps,
                 jump_steps,
+            },
+        };
+        let smooth = |start_hz, speed_hz, ramp_steps| Ramp {
+            speed_hz,
+            accel_hz_per_s: 0,
+            shape: RampShape::Smooth {
+                start_hz,
+                ramp_steps,
             },
         };
         match self {
@@ -492,6 +559,16 @@ impl JobCommand {
             Self::StatusCd(_) => Command::StatusCd,
             Self::WaitResume(_) => Command::Barrier {
                 barrier: BARRIER_RESUME,
+            },
+            Self::SmoothRamp(f) => Command::Ramp {
+                axis: AxisId(f.axis),
+                steps: f.steps,
+                ramp: smooth(f.start_hz, f.speed_hz, f.ramp_steps),
+            },
+            Self::SmoothRampTo(f) => Command::RampTo {
+                axis: AxisId(f.axis),
+                position_steps: f.position,
+                ramp: smooth(f.start_hz, f.speed_hz, f.ramp_steps),
             },
         }
     }

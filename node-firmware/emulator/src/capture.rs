@@ -322,6 +322,7 @@ impl Capture {
             external: Vec::new(),
             lidar_waits: false,
             paced: false,
+            speeds: Vec::new(),
             cut: false,
             counted_steps,
             status: Status {

@@ -476,7 +476,8 @@ impl EmulatedNode {
         if mem::take(&mut self.node.outputs_mut().lidar_requested) {
             self.lidar_due.get_or_insert(now.plus_us(LIDAR_US));
         }
-        self.recorded.paced |= self.node.is_held() || self.node.speed_percent() != 100;
+        let share = self.node.motion().speed_share();
+        self.recorded.paced |= self.node.is_held() || share != recorded::SHARE_AT_BOOT;
         self.record_drives();
         let queued = mem::take(&mut self.node.outputs_mut().queued);
         if let Recording::Edges { max } = self.config.record

@@ -13,10 +13,13 @@
 //! nothing here knows how a board computes. Deliberately absent: moves that begin or end in
 //! motion, and time in ticks.
 
+mod smoothstep;
+
 use keys::{
     Command,
     command::{LINE_AXES, Ramp, RampShape},
 };
+use smoothstep::Smoothstep;
 
 /// A stretch of constant jerk.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,6 +100,8 @@ pub struct State {
 #[derive(Clone, Debug, PartialEq)]
 struct Rise {
     phases: Vec<Phase>,
+    /// Instead of phases.
+    curve: Option<Smoothstep>,
     duration_s: f64,
     way: f64,
     speed: f64,
@@ -106,6 +111,7 @@ impl Rise {
     fn new(jerks: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         let mut rise = Self {
             phases: Vec::new(),
+            curve: None,
             duration_s: 0.0,
             way: 0.0,
             speed: 0.0,
@@ -155,17 +161,35 @@ impl Rise {
         ])
     }
 
+    /// The smoothstep from `start` towards `end`, as far as `way`.
+    fn of_curve(start: f64, end: f64, ramp_steps: f64, way: f64) -> Self {
+        let curve = Smoothstep::new(start, end, ramp_steps, way);
+        Self {
+            phases: Vec::new(),
+            duration_s: curve.duration_s(),
+            way: curve.way(),
+            speed: curve.speed(),
+            curve: Some(curve),
+        }
+    }
+
     fn phase(&self, is_behind: impl Fn(&Phase) -> bool) -> &Phase {
         let index = self.phases.iter().rposition(|phase| !is_behind(phase));
         &self.phases[index.unwrap_or(0)]
     }
 
     fn time_at(&self, place: f64) -> f64 {
+        if let Some(curve) = &self.curve {
+            return curve.time_at(place);
+        }
         let phase = self.phase(|phase| phase.place > place);
         phase.begin_s + phase.time_at(place).min(phase.duration_s)
     }
 
     fn at(&self, t: f64) -> State {
+        if let Some(curve) = &self.curve {
+            return curve.at(t);
+        }
         let phase = self.phase(|phase| phase.begin_s > t);
         phase.at(t - phase.begin_s)
     }
@@ -248,9 +272,27 @@ impl Ideal {
         Self::new(steps, Rise::of_jerk(peak, accel, jerk), 0.0)
     }
 
+    /// ESP-IDF's smoothstep of `ramp_steps` frequencies from `start` to `end`, and back; it is left
+    /// at `speed`, and a shorter move turns back half way.
+    pub fn smoothstep(steps: f64, start: f64, end: f64, ramp_steps: f64, speed: f64) -> Self {
+        let way = if speed < end {
+            Smoothstep::way_to(start, end, ramp_steps, speed)
+        } else {
+            f64::INFINITY
+        };
+        let rise = Rise::of_curve(start, end, ramp_steps, way.min(steps / 2.0));
+        Self::new(steps, rise, 0.0)
+    }
+
     /// The move of [`Command::Ramp`] over so many steps, at least one.
     pub fn of_ramp(steps: u64, ramp: &Ramp) -> Self {
-        let (speed, accel) = (f64::from(ramp.speed_hz), f64::from(ramp.accel_hz_per_s));
+        Self::of_ramp_up_to(steps, ramp, f64::from(ramp.speed_hz))
+    }
+
+    /// The same at another speed, steps/s. A smoothstep keeps its curve and leaves it there; beyond
+    /// its ends nothing is known of it.
+    pub fn of_ramp_up_to(steps: u64, ramp: &Ramp, speed: f64) -> Self {
+        let accel = f64::from(ramp.accel_hz_per_s);
         match ramp.shape {
             RampShape::Trapezoid {
                 linear_steps,
@@ -261,6 +303,13 @@ impl Ideal {
             }
             RampShape::Jerk { jerk_hz_per_s2 } => {
                 Self::s_curve(steps as f64, speed, accel, f64::from(jerk_hz_per_s2))
+            }
+            RampShape::Smooth {
+                start_hz,
+                ramp_steps,
+            } => {
+                let (start, end) = (f64::from(start_hz), f64::from(ramp.speed_hz));
+                Self::smoothstep(steps as f64, start, end, f64::from(ramp_steps), speed)
             }
         }
     }
@@ -298,6 +347,20 @@ impl Ideal {
     /// The highest speed, steps/s.
     pub fn peak_speed(&self) -> f64 {
         self.rise.speed
+    }
+
+    /// The greatest acceleration by which [`Command::Ramp`] gains or loses speed, steps/s².
+    pub fn accel_of(ramp: &Ramp) -> f64 {
+        match ramp.shape {
+            RampShape::Smooth {
+                start_hz,
+                ramp_steps,
+            } => {
+                let (start, end) = (f64::from(start_hz), f64::from(ramp.speed_hz));
+                Smoothstep::new(start, end, f64::from(ramp_steps), 0.0).accel_max()
+            }
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => f64::from(ramp.accel_hz_per_s),
+        }
     }
 
     /// Steps from the top speed to rest.

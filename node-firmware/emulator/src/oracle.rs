@@ -19,7 +19,8 @@
 //! | an axis that is driven: no faster, no harder than its orders, from rest to rest; the queue rests | to a tick |
 //! | C and D: way, rate, limits, each in its turn | steps exactly, intervals to a tick |
 //! | position = counter = counted edges | exactly |
-//! | with [`Life::paced`] and ramps, lines or homing: only the pins, all steps of what has ended, and the positions | exactly |
+//! | ramps and lines that were held, or told another speed, in flight | as planned until then; then by their limits and on their line, at rest in time |
+//! | with [`Life::paced`] and homing: only the pins, all steps of what has ended, and the positions | exactly |
 //!
 //! It cannot know what the record does not hold: with [`Life::cut`] it judges what is there. It
 //! takes any joining of lines that keeps the limits, the best one or not. Behind a path whose steps
@@ -31,6 +32,7 @@
 //! | `queues` | commands against steps, one after the other |
 //! | `moves`, `holds` | raw moves, and a hold in the midst of them |
 //! | `paths` | ramps and lines, edge by edge |
+//! | `paced` | those of them that were held or changed in flight |
 //! | `track` | joined or stopped paths, by their limits |
 //! | `beside` | C and D |
 //! | `homing` | the way to a reference switch and off it |
@@ -43,12 +45,13 @@ mod drives;
 mod holds;
 mod homing;
 mod moves;
+mod paced;
 mod paths;
 mod pins;
 mod queues;
 mod track;
 
-use crate::record::{HomeFacts, InputEdge, Life};
+use crate::record::{Held, HomeFacts, InputEdge, Life, Speed, TakenCommand};
 use keys::Command;
 use std::fmt;
 
@@ -209,14 +212,6 @@ pub fn check_pins(life: &Life) -> Result<(), Vec<Violation>> {
     }
 }
 
-/// Returns whether a command's edges depend on the speed that is asked for, or on a hold.
-fn is_path(command: &Command) -> bool {
-    matches!(
-        command,
-        Command::Ramp { .. } | Command::RampTo { .. } | Command::Line { .. } | Command::Home { .. }
-    )
-}
-
 /// Judges one boot of a node.
 ///
 /// # Errors
@@ -225,7 +220,8 @@ pub fn check_life_by(life: &Life, limits: &Limits) -> Result<Summary, Vec<Violat
     let mut judge = Judge::new(life, limits);
     judge.read_pins(&life.edges);
     judge.read_drives(life);
-    if life.paced && life.commands.iter().any(|taken| is_path(&taken.command)) {
+    let homes = |taken: &TakenCommand| matches!(taken.command, Command::Home { .. });
+    if life.paced && life.commands.iter().any(homes) {
         judge.count(life);
     } else {
         judge.read_queues(life);
@@ -307,6 +303,10 @@ struct Judge<'l> {
     external: &'l [bool],
     lidar_waits: bool,
     holds: holds::Holds,
+    held: &'l [Held],
+    speeds: &'l [Speed],
+    /// When the last path that was read ended, ticks.
+    path_until: u64,
     /// What drives have made, in order of time, as far as the queue has not come there.
     shifts: Vec<drives::Shift>,
     /// Nothing of what is still to be read leaves before this, ticks.
@@ -328,6 +328,9 @@ impl<'l> Judge<'l> {
             external: &life.external,
             lidar_waits: life.lidar_waits,
             holds: holds::Holds::new(&life.holds),
+            held: &life.holds,
+            speeds: &life.speeds,
+            path_until: 0,
             shifts: Vec::new(),
             not_before: 0,
         }

@@ -81,6 +81,8 @@ struct Channel {
     counted_steps: i64,
     /// When the half that plays has been played, `None` if it ends the transmission.
     half_end: Option<u64>,
+    /// No word of that half is high anywhere.
+    half_low: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -141,6 +143,7 @@ impl Channel {
             external: false,
             counted_steps: 0,
             half_end: None,
+            half_low: false,
         }
     }
 
@@ -150,6 +153,7 @@ impl Channel {
         let ends = words.iter().any(|word| word.is_end());
         let ticks: u64 = words.iter().map(|word| word.ticks()).sum();
         self.half_end = (!ends).then_some(self.word_at + ticks);
+        self.half_low = words.iter().all(|word| !word.first().1 && !word.second().1);
     }
 
     fn set_level(&mut self, at: u64, level: bool, scope: &mut Scope<'_>) {
@@ -207,6 +211,7 @@ impl Channel {
             if !self.playing {
                 return None;
             }
+            self.pass_rest(until);
             self.second_part(until, scope);
             let end = self.word_end();
             if end > until {
@@ -234,6 +239,18 @@ impl Channel {
                 self.begin_half();
             }
             self.begin_word(scope);
+        }
+    }
+
+    /// Goes to the last word of a half in which nothing happens, if that is over by `until`: most of
+    /// what is played is rest.
+    fn pass_rest(&mut self, until: u64) {
+        let Some(end) = self.half_end.filter(|end| *end <= until) else {
+            return;
+        };
+        if self.half_low && !self.level && self.refill.is_none() {
+            self.reading = self.reading / REFILL_WORDS * REFILL_WORDS + REFILL_WORDS - 1;
+            self.word_at = end - self.words[self.reading].ticks();
         }
     }
 

@@ -44,6 +44,15 @@ pub struct Held {
     pub until_ticks: Option<u64>,
 }
 
+/// Another share of its speed that a node was told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Speed {
+    /// From when on, ticks since the node's boot.
+    pub at_ticks: u64,
+    /// Of the speed that commands ask for, 2⁻¹⁶: a whole at boot.
+    pub share: u32,
+}
+
 /// A time in which an axis was driven outside the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Driven {
@@ -123,6 +132,8 @@ pub struct Life {
     pub inputs: Vec<InputEdge>,
     /// When motion was held, in order of time.
     pub holds: Vec<Held>,
+    /// Every change of its speed, in order of time.
+    pub speeds: Vec<Speed>,
     /// When axes were driven, in order of time.
     pub drives: Vec<Driven>,
     /// How the axes are homed that can be.

@@ -350,6 +350,31 @@ fn any_number_of_changes_at_one_instant_or_in_quick_succession_is_taken() {
 }
 
 #[test]
+fn a_speed_that_is_told_before_a_ramp_begins_is_that_of_the_ramp() {
+    // It is planned before the pause has ended, and cannot be changed before it begins.
+    let mut bench = Bench::new(config());
+    bench.order([
+        Command::Pause { pause_ms: 60 },
+        ramp(X, 600, 3_000, 20_000, TRAPEZOID),
+        Command::Line {
+            steps: [500, 300, 0, 0],
+            speed_hz: 3_000,
+            accel_hz_per_s: 20_000,
+            jerk_hz_per_s2: 0,
+        },
+    ]);
+    bench.run_until(1_000);
+    for percent in [66, 20] {
+        bench.motion().set_speed_percent(percent);
+        bench.run_for(0);
+    }
+    bench.run_to_rest();
+    let life = pins_are_right(&bench, "");
+    keeps_limits(&life, X, 600.0, 20_000.0, 0.0, "");
+    emulator::oracle::check_life(&life).expect("good pulses");
+}
+
+#[test]
 fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
     for seed in seeds(120) {
         let mut random = Random(seed);
@@ -382,7 +407,7 @@ fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
                         accel_hz_per_s: accel,
                         jerk_hz_per_s2: match shape {
                             RampShape::Jerk { jerk_hz_per_s2 } => jerk_hz_per_s2,
-                            RampShape::Trapezoid { .. } => 0,
+                            RampShape::Trapezoid { .. } | RampShape::Smooth { .. } => 0,
                         },
                     };
                 }
@@ -424,6 +449,9 @@ fn random_paths_with_random_holds_speeds_and_stops_keep_every_promise() {
             assert_eq!([bench.position(X), bench.position(Y)], end, "{what}");
         }
         let life = pins_are_right(&bench, &what);
+        if let Err(violations) = emulator::oracle::check_life(&life) {
+            panic!("{what}: {violations:#?}");
+        }
         // Corners may jump; an S-curve that is changed in flight first ends its acceleration.
         let jump = if lines { 200.0 } else { 0.0 };
         for axis in [X, Y] {

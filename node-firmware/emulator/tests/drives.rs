@@ -84,6 +84,34 @@ fn trapezoid(steps: u32, speed: f64, accel: f64) -> Vec<f64> {
 }
 
 #[test]
+fn the_speed_that_is_told_only_falls_on_the_way_to_rest() {
+    for end_us in (20_000..60_000).step_by(311) {
+        let mut bench = bench();
+        bench.drive(
+            X,
+            Target::Forever(Direction::Negative),
+            Course::hz(900, 8_000),
+        );
+        bench.run_for(end_us);
+        bench.motion().end_drive(StopMode::Decelerate);
+        // What the hardware holds is still planned before.
+        bench.run_for(3_000);
+        let mut before = i32::MAX;
+        while bench.motion().is_driving() {
+            let speed_mhz = -bench.node.status().axes[X.index()].speed_mhz;
+            assert!(
+                (0..=before).contains(&speed_mhz),
+                "ended at {end_us} µs: {before} mHz, then {speed_mhz}"
+            );
+            before = speed_mhz;
+            bench.run_for(100);
+        }
+        let rests = bench.node.status().axes[X.index()].speed_mhz;
+        assert_eq!(rests, 0, "ended at {end_us} µs");
+    }
+}
+
+#[test]
 fn each_axis_has_the_edges_that_it_would_have_alone() {
     let mut bench = bench();
     // FastAccelStepper's example on X; the others begin and end while it is under way.

@@ -303,7 +303,7 @@ fn raw_moves_among_ramps_and_lines_are_held_at_once_or_behind_a_ramp() {
             "seed {seed}"
         );
         let life = bench.node.life();
-        if let Err(violations) = emulator::oracle::check_pins(&life) {
+        if let Err(violations) = emulator::oracle::check_life(&life) {
             panic!("seed {seed}: {violations:?}");
         }
     }

@@ -301,3 +301,46 @@ fn random_moves_keep_their_limits_and_are_consistent() {
         assert!(curve.total_s() >= Ideal::trapezoid(steps, speed, accel).total_s());
     }
 }
+
+#[test]
+fn a_smoothstep_lasts_as_long_as_its_table_and_has_its_periods() {
+    // ESP-IDF's example: 500 frequencies from 500 to 1500 Hz, 5000 steps, and back.
+    let ideal = Ideal::smoothstep(6_000.0, 500.0, 1_500.0, 500.0, 1_500.0);
+    near(ideal.total_s(), 4.483_577_42, 5e-9);
+    near(ideal.time_at(500.0), 0.575_122_04, 5e-9);
+    near(ideal.total_s() - ideal.time_at(5_500.0), 0.575_122_04, 5e-9);
+    for (index, period_us) in [
+        (0, 2_000.0),
+        (1, 1_999.951_9),
+        (10, 1_995.256_4),
+        (50, 1_893.551),
+        (100, 1_654.574_3),
+        (249, 1_001.505_3),
+        (250, 998.499_3),
+        (374, 744.498_5),
+        (498, 666.672),
+        (499, 666.666_7),
+    ] {
+        let at = ideal.time_at(f64::from(index) + 0.5);
+        near(1e6 / ideal.at(at).speed, period_us, 1e-4);
+        near(ideal.at(at).place, f64::from(index) + 0.5, 1e-6);
+    }
+    // Half way, and no way at all.
+    let part = Ideal::smoothstep(300.0, 500.0, 1_500.0, 500.0, 1_500.0);
+    near(part.total_s(), 2.0 * ideal.time_at(150.0), 1e-9);
+    near(
+        Ideal::smoothstep(1.0, 500.0, 1_500.0, 500.0, 1_500.0).total_s(),
+        0.002,
+        1e-12,
+    );
+    // Left at a lower speed it has risen as the whole one.
+    let slower = Ideal::smoothstep(6_000.0, 500.0, 1_500.0, 500.0, 1_000.0);
+    near(slower.peak_speed(), 1_000.0, 1e-6);
+    near(slower.time_at(200.0), ideal.time_at(200.0), 1e-12);
+    near(slower.fall_steps(), 250.0, 1e-6);
+    near(
+        slower.total_s(),
+        2.0 * ideal.time_at(250.0) + 5_500.0 / 1_000.0,
+        1e-6,
+    );
+}

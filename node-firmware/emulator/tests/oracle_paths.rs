@@ -258,6 +258,10 @@ fn the_wrong_shape_is_found() {
         jump_steps,
     };
     let jerk = |jerk_hz_per_s2| RampShape::Jerk { jerk_hz_per_s2 };
+    let smooth = |start_hz, ramp_steps| RampShape::Smooth {
+        start_hz,
+        ramp_steps,
+    };
     for (told, drawn) in [
         (linear(50, 0), linear(51, 0)),
         (linear(50, 0), linear(0, 0)),
@@ -265,6 +269,9 @@ fn the_wrong_shape_is_found() {
         (linear(0, 0), linear(0, 1)),
         (jerk(500_000), jerk(501_000)),
         (jerk(500_000), linear(0, 0)),
+        (smooth(400, 300), smooth(401, 300)),
+        (smooth(400, 300), smooth(400, 301)),
+        (smooth(400, 300), linear(0, 0)),
     ] {
         let mut drawing = Drawing::new();
         let shape = |shape| ramp(X, 1_000, 2_000, 10_000, shape);

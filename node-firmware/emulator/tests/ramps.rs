@@ -28,6 +28,13 @@ const fn jerk(jerk_hz_per_s2: u32) -> RampShape {
     RampShape::Jerk { jerk_hz_per_s2 }
 }
 
+const fn smooth(start_hz: u32, ramp_steps: u32) -> RampShape {
+    RampShape::Smooth {
+        start_hz,
+        ramp_steps,
+    }
+}
+
 fn ramp(axis: AxisId, steps: i32, speed_hz: u32, accel_hz_per_s: u32, shape: RampShape) -> Command {
     let ramp = Ramp {
         speed_hz,
@@ -112,11 +119,16 @@ impl Random {
     fn ramp(&mut self) -> Command {
         let axis = AxisId(self.below(4) as u8);
         let steps = self.spread(1, 3_000) as i32 * self.sign();
-        let ramp = Ramp {
+        let mut ramp = Ramp {
             speed_hz: self.spread(100, 200_000),
             accel_hz_per_s: self.spread(2_000, 5_000_000),
             shape: self.shape(),
         };
+        if self.below(5) == 0 {
+            let start_hz = self.spread(20, ramp.speed_hz - 1);
+            ramp.accel_hz_per_s = 0;
+            ramp.shape = smooth(start_hz, self.spread(2, 20_000));
+        }
         match self.below(8) {
             0 => Command::RampTo {
                 axis,
@@ -163,6 +175,8 @@ fn the_reference_ramps_last_as_long_as_they_should() {
         (1_000, 1_000, 10_000, jerk(100_000), 1.2),
         (10_000, 5_000, 20_000, jerk(400_000), 2.3),
         (100, 5_000, 20_000, jerk(400_000), 0.2),
+        (6_000, 1_500, 0, smooth(500, 500), 4.483_577_42),
+        (1, 1_500, 0, smooth(500, 500), 0.002),
         (1, 1, 1, jerk(1), 3.174_802_103_9),
         (2, 1, 1, jerk(1), 4.0),
         (3, 1, 1, jerk(1), 5.0),

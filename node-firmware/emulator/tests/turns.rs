@@ -8,7 +8,7 @@ use bench::{
 };
 use emulator::{EmulatorConfig, oracle, pins::Pin, record::Life};
 use keys::{
-    AxisId, Command, NodeState, StopMode,
+    AxisId, Command, LocalMicros, NodeState, StopMode,
     command::{Ramp, RampShape},
     status::{Fault, FaultCode},
 };
@@ -296,6 +296,40 @@ fn what_is_held_is_not_turned_for_the_command_behind_it() {
         assert_eq!(bench.node.position_steps(X), 85 - 93, "{first:?}");
         pins_are_right(&bench, "");
     }
+}
+
+#[test]
+fn what_is_resumed_just_as_it_comes_to_rest_has_not_run_dry() {
+    for resume_us in (3_000..9_000).step_by(20) {
+        let mut bench = Bench::new(shifted());
+        bench.run_until(50_000);
+        // The second one is planned at rest only: it turns.
+        bench.order([raw(30), raw(-12)]);
+        bench.run_for(2_000);
+        let now = motion::Ticks(bench.now.0 * TICKS_PER_US);
+        bench.node.node_mut().motion_mut().hold(now);
+        bench.run_for(resume_us - 2_000);
+        resume(&mut bench);
+        bench.run_to_rest();
+        assert_eq!(bench.node.position_steps(X), 18, "{resume_us}");
+        let faults = bench.node.status().faults;
+        assert!(faults.is_empty(), "{resume_us}: {faults:?}");
+    }
+}
+
+#[test]
+fn a_node_that_is_not_polled_while_a_word_is_out_has_not_tried_in_vain() {
+    let mut bench = Bench::new(shifted());
+    bench.run_until(50_000);
+    bench.order([ramp(-50)]);
+    // The word is out; for 300 ms nobody looks, and then the answer comes.
+    let late = LocalMicros(bench.now.0 + 300_000);
+    bench.node.node_mut().poll(late);
+    bench.now = late;
+    bench.run_to_rest();
+    assert_eq!(bench.node.position_steps(X), -50);
+    let faults = bench.node.status().faults;
+    assert!(faults.is_empty(), "{faults:?}");
 }
 
 /// Goes on, and lets the node see at once what there is to be done, as its own resumption does.

@@ -91,6 +91,8 @@ pub(crate) struct Encoder {
     offset: i64,
     /// Time from the last edge to the next.
     interval_ticks: u64,
+    /// The last interval that tells how fast it is: behind the last step before a rest none does.
+    speed_ticks: u64,
     /// Rest that is owed before anything else.
     low_ticks: u64,
     /// The rest is more than the last step's own interval.
@@ -145,6 +147,7 @@ impl Encoder {
             change: 0,
             offset: 0,
             interval_ticks: 0,
+            speed_ticks: 0,
             low_ticks: 0,
             resting: true,
             low_ticks_since_step: u64::MAX,
@@ -186,10 +189,10 @@ impl Encoder {
 
     /// Returns the speed of the step that was encoded last with sign, mHz; 0 at rest.
     pub(crate) fn speed_mhz(&self) -> i64 {
-        if self.resting || self.ended || self.interval_ticks == 0 {
+        if self.resting || self.ended || self.speed_ticks == 0 {
             return 0;
         }
-        let speed_mhz = (1_000 * TICK_HZ / self.interval_ticks) as i64;
+        let speed_mhz = (1_000 * TICK_HZ / self.speed_ticks) as i64;
         match self.direction {
             Some(Direction::Negative) => -speed_mhz,
             _ => speed_mhz,
@@ -335,6 +338,9 @@ impl Encoder {
         let low_ticks = self.interval_ticks - high_ticks;
         let goes_on =
             self.steps_left > 0 || matches!(segments.front(), Some(Segment::Steps { .. }));
+        if goes_on || self.resting {
+            self.speed_ticks = self.interval_ticks;
+        }
         if goes_on {
             let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
             self.write_step(high_ticks, low_ticks, in_word, out);

@@ -82,7 +82,7 @@ impl Law {
     /// Makes the law of a ramp; its jump is not part of it, see [`Law::jump_speed`].
     ///
     /// # Panics
-    /// Acceleration or jerk are 0.
+    /// Acceleration or jerk are 0; or it is a smoothstep, whose law depends on its speed: [`Law::of`].
     pub fn new(accel_hz_per_s: u32, shape: RampShape) -> Self {
         assert!(accel_hz_per_s > 0, "a ramp needs acceleration");
         let accel = accel_from_hz_per_s(accel_hz_per_s);
@@ -108,8 +108,25 @@ impl Law {
                     full: accel * swing,
                 }
             }
+            RampShape::Smooth { .. } => panic!("a smoothstep has a speed at its end"),
         };
         Self { accel, kind }
+    }
+
+    /// Makes the law of a ramp up to this speed, steps per tick; its jump is not part of it.
+    ///
+    /// # Panics
+    /// Acceleration or jerk are 0; or a smoothstep does not rise, see [`Law::smooth`].
+    pub fn of(speed: Real, accel_hz_per_s: u32, shape: RampShape) -> Self {
+        match shape {
+            RampShape::Smooth {
+                start_hz,
+                ramp_steps,
+            } => Self::smooth(speed_from_hz(start_hz), speed, ramp_steps),
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => {
+                Self::new(accel_hz_per_s, shape)
+            }
+        }
     }
 
     /// Makes the law of ESP-IDF's smoothstep table of so many steps from one speed (steps per tick,

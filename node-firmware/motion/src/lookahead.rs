@@ -40,19 +40,11 @@ pub struct Line {
 }
 
 impl Line {
-    /// Makes a line of at least one step.
-    ///
-    /// # Panics
-    /// No steps, no speed, no acceleration.
-    pub fn new(steps: [i64; LINE_AXES], speed_max: Real, accel: u32, shape: RampShape) -> Self {
-        Self::by_law(steps, speed_max, Law::new(accel, shape))
-    }
-
     /// Makes a line of at least one step that gains speed by this law.
     ///
     /// # Panics
     /// No steps.
-    pub fn by_law(steps: [i64; LINE_AXES], speed_max: Real, law: Law) -> Self {
+    pub fn new(steps: [i64; LINE_AXES], speed_max: Real, law: Law) -> Self {
         let major_steps = steps.map(i64::unsigned_abs).into_iter().max();
         let major_steps = major_steps.expect("there are axes");
         assert!(major_steps > 0, "a line has steps");
@@ -90,7 +82,7 @@ impl Line {
         };
         let steps = steps.map(i64::from);
         let speed = speed_from_hz(speed_hz);
-        Some(Self::new(steps, speed, accel_hz_per_s, shape))
+        Some(Self::new(steps, speed, Law::new(accel_hz_per_s, shape)))
     }
 
     /// Returns the speed that the drivers' pulses allow, in the line's measure.

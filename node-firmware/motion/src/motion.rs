@@ -130,6 +130,8 @@ pub struct Motion<'m, B: StepBackend> {
     hold: Hold,
     /// A change in flight has not been made yet.
     change_due: bool,
+    /// Since a hold nothing was planned to go on with: to run dry is what it asked for.
+    dry_by_hold: bool,
     /// How many commands there were when the end of the path was looked at.
     extended_commands: u64,
     drives: &'m mut [Option<Drive>; CHANNELS],
@@ -261,6 +263,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             watch: None,
             hold: Hold::None,
             change_due: false,
+            dry_by_hold: false,
             extended_commands: 0,
             drives,
             homing: None,
@@ -331,6 +334,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
     pub fn features(&self) -> Features {
         let mut features = Features::BASIC
             .with(Features::RAMPS)
+            .with(Features::SMOOTH)
             .with(Features::BARRIERS);
         if self.cd.is_some() {
             features = features.with(Features::CD);
@@ -479,7 +483,7 @@ impl<'m, B: StepBackend> Motion<'m, B> {
             self.pass_station();
             self.pass_homing();
             self.plan();
-            if let Some(event) = self.pass_enables() {
+            if let Some(event) = self.pass_enables(now) {
                 return Some(event);
             }
             if let Some(event) = self.pass_start() {

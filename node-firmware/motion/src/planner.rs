@@ -194,6 +194,16 @@ const WHOLE: u32 = 1 << 16;
 /// then shorter than a word.
 const CUT_MARGIN_TICKS: u64 = 4 * WORD_TICKS_MIN;
 
+fn share_of(share: u32) -> Real {
+    Real::of(u64::from(share)).shifted(-16)
+}
+
+/// Returns a line that was planned with this share of its speed as it was asked for.
+fn unshared(mut line: Line, share: u32) -> Line {
+    line.speed_max = line.speed_max / share_of(share);
+    line
+}
+
 impl Planner {
     pub(crate) const fn new() -> Self {
         Self {
@@ -422,13 +432,15 @@ impl Planner {
             begin,
             end_ticks: 0,
             exit: Exit::Rest,
+            share: self.share,
             base_steps,
         };
         let path = stretch.path();
         let end = path.end_state();
         let whole = Real::of(line.major_steps) - path.end_steps();
         let held = self.holding && whole.shifted(WHOLE_BITS).rounded() > 0;
-        let moves = (end.speed * Real::of(SLOWEST_TICKS)).fixed(0) > 0;
+        // A smoothstep rests from its first speed.
+        let moves = line.joins && (end.speed * Real::of(SLOWEST_TICKS)).fixed(0) > 0;
         if moves && !held {
             stretch.exit = Exit::Moving;
         }
@@ -457,7 +469,7 @@ impl Planner {
             first_edge_ticks: edges.map(|(at, _)| at).min(),
             end_ticks: stretch.end_ticks,
             held: held.then(|| Split {
-                line: self.unshared(line),
+                line: unshared(line, self.share),
                 from: State {
                     place: path.end_steps(),
                     ..State::REST
@@ -476,13 +488,7 @@ impl Planner {
     }
 
     fn share(&self) -> Real {
-        Real::of(u64::from(self.share)).shifted(-16)
-    }
-
-    /// Returns the line as it was asked for.
-    fn unshared(&self, mut line: Line) -> Line {
-        line.speed_max = line.speed_max / self.share();
-        line
+        share_of(self.share)
     }
 
     /// Runs lines at this share of their speed, 2⁻¹⁶ (from 1), from the next one or the next

@@ -35,7 +35,7 @@ const fn case(
     }
 }
 
-const CASES: [Case; 37] = [
+const CASES: [Case; 40] = [
     case(
         "motor.queue_move",
         "motor.queue_move(0, 100, 300) motor.queue_move(1, 200, -20) wait_idle() return motor.get_position(0)",
@@ -63,6 +63,18 @@ const CASES: [Case; 37] = [
     case(
         "motor.queue_ramp_to",
         "motor.queue_move(0, 100, 50) motor.queue_ramp_to(0, -30, 2000, 10000, {jump_steps = 3}) wait_idle() return motor.get_position(0)",
+        "-30",
+        [-30, 0],
+    ),
+    case(
+        "motor.queue_smooth_ramp",
+        "motor.queue_smooth_ramp(0, 500, 100, 4000, 90) motor.queue_smooth_ramp(0, -1, 100, 4000, 90) wait_idle() return motor.get_position(0)",
+        "499",
+        [499, 0],
+    ),
+    case(
+        "motor.queue_smooth_ramp_to",
+        "motor.queue_move(0, 100, 50) motor.queue_smooth_ramp_to(0, -30, 200, 2000, 100) wait_idle() return motor.get_position(0)",
         "-30",
         [-30, 0],
     ),
@@ -224,6 +236,12 @@ const CASES: [Case; 37] = [
         [150, 0],
     ),
     case(
+        "motor.drive_by",
+        "motor.drive_by(0, 90, 1500, 8000, {jump_steps = 5}) while motor.is_driven(0) do sleep(10) end motor.drive_by(0, -20, 1500, 8000, {linear_steps = 9, jump_steps = 4}) while motor.is_driven(0) do sleep(10) end return motor.get_position(0)",
+        "70",
+        [70, 0],
+    ),
+    case(
         "motor.run",
         "motor.run(0, -1, 1000, 8000) sleep(500) local at = motor.get_position(0) motor.drive_to(0, 30, 2000, 8000) while motor.is_driven(0) do sleep(10) end return at < -300",
         "true",
@@ -264,6 +282,7 @@ fn machine() -> Rig {
 fn every_function_does_what_it_says_at_the_pins() {
     let mut named: Vec<&str> = CASES.iter().map(|case| case.function).collect();
     named.sort_unstable();
+    named.dedup();
     let full = |(module, name): &(&str, &str)| match *module {
         "" => (*name).to_owned(),
         module => format!("{module}.{name}"),

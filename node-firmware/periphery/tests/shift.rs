@@ -144,7 +144,7 @@ fn what_is_broken_comes_back_as_it_is_and_not_as_it_should_be() {
 fn settle(pins: &mut ShiftPins, chain: &mut Chain, mut now: u64) -> (ShiftEvent, u32) {
     let mut sends = 0;
     for _ in 0..100 {
-        match pins.poll(Ticks(now)) {
+        match pins.poll(Ticks(now), Ticks(now)) {
             Some(ShiftEvent::Send(word)) => {
                 sends += 1;
                 let back = exchange(chain, word, 16);

@@ -45,6 +45,8 @@ enum Do {
     QueuePause,
     QueueRamp,
     QueueRampTo,
+    QueueSmoothRamp,
+    QueueSmoothRampTo,
     QueueLine,
     QueueSetPosition,
     QueueHome,
@@ -79,7 +81,7 @@ enum Do {
     WaitIdle,
 }
 
-const COUNT: usize = 37;
+const COUNT: usize = 39;
 
 macro_rules! functions {
     ($(($module:literal, $name:literal, $shape:literal, $what:ident),)*) => {
@@ -104,6 +106,8 @@ functions! {
     (c"motor", c"queue_pause", c"v", QueuePause),
     (c"motor", c"queue_ramp", c"vvvvr", QueueRamp),
     (c"motor", c"queue_ramp_to", c"vvvvr", QueueRampTo),
+    (c"motor", c"queue_smooth_ramp", c"vvvvv", QueueSmoothRamp),
+    (c"motor", c"queue_smooth_ramp_to", c"vvvvv", QueueSmoothRampTo),
     (c"motor", c"queue_line", c"lvvv", QueueLine),
     (c"motor", c"queue_set_position", c"vv", QueueSetPosition),
     (c"motor", c"queue_home", c"v", QueueHome),
@@ -335,6 +339,22 @@ impl Turn<'_> {
                 let axis = self.axis(&args)?;
                 let position_steps = args.any(1, "position")?;
                 let ramp = args.ramp()?;
+                self.queue(Command::RampTo {
+                    axis,
+                    position_steps,
+                    ramp,
+                })
+            }
+            Do::QueueSmoothRamp => {
+                let axis = self.axis(&args)?;
+                let steps = args.steps(1, "steps")?;
+                let ramp = args.smooth_ramp()?;
+                self.queue(Command::Ramp { axis, steps, ramp })
+            }
+            Do::QueueSmoothRampTo => {
+                let axis = self.axis(&args)?;
+                let position_steps = args.any(1, "position")?;
+                let ramp = args.smooth_ramp()?;
                 self.queue(Command::RampTo {
                     axis,
                     position_steps,
@@ -748,6 +768,23 @@ impl<'a> Args<'a> {
             speed_hz,
             accel_hz_per_s,
             shape,
+        })
+    }
+
+    fn smooth_ramp(&self) -> Result<Ramp, Wrong> {
+        let start_hz = self.positive(2, "start_hz")?;
+        let speed_hz = self.positive(3, "speed_hz")?;
+        if start_hz >= speed_hz {
+            return Err("start_hz: it must be below speed_hz".into());
+        }
+        let ramp_steps = self.whole(4, "ramp_steps", 2, u32::MAX.into())? as u32;
+        Ok(Ramp {
+            speed_hz,
+            accel_hz_per_s: 0,
+            shape: RampShape::Smooth {
+                start_hz,
+                ramp_steps,
+            },
         })
     }
 }

@@ -28,6 +28,14 @@ fn every_command_is_queued_as_it_is_meant() {
         accel_hz_per_s: 100,
         shape,
     };
+    let smooth = || Ramp {
+        speed_hz: 1_500,
+        accel_hz_per_s: 0,
+        shape: RampShape::Smooth {
+            start_hz: 500,
+            ramp_steps: 400,
+        },
+    };
     for (text, command) in [
         (
             "motor.queue_move(0, 500, -2000)",
@@ -69,6 +77,22 @@ fn every_command_is_queued_as_it_is_meant() {
                 ramp: ramp(RampShape::Jerk {
                     jerk_hz_per_s2: 1000,
                 }),
+            },
+        ),
+        (
+            "motor.queue_smooth_ramp(1, -6000, 500, 1500, 400)",
+            Command::Ramp {
+                axis: AxisId(1),
+                steps: -6000,
+                ramp: smooth(),
+            },
+        ),
+        (
+            "motor.queue_smooth_ramp_to(0, 7, 500, 1500, 400)",
+            Command::RampTo {
+                axis: AXIS,
+                position_steps: 7,
+                ramp: smooth(),
             },
         ),
         (

@@ -18,6 +18,8 @@ from .commands import (
     ramp,
     ramp_to,
     set_position,
+    smooth_ramp,
+    smooth_ramp_to,
     sync_move,
 )
 from .errors import FleetError, NoGateway, Refused, TimedOut
@@ -48,5 +50,7 @@ __all__ = [
     "ramp",
     "ramp_to",
     "set_position",
+    "smooth_ramp",
+    "smooth_ramp_to",
     "sync_move",
 ]

@@ -74,6 +74,36 @@ def ramp_to(
     }
 
 
+def smooth_ramp(
+    *, axis: int, steps: int, start_hz: int, speed_hz: int, ramp_steps: int
+) -> Command:
+    """A relative move whose speed goes by 3x² - 2x³ over `ramp_steps`, as ESP-IDF's smoothstep."""
+    return {
+        "smooth_ramp": {
+            "axis": axis,
+            "steps": steps,
+            "start_hz": start_hz,
+            "speed_hz": speed_hz,
+            "ramp_steps": ramp_steps,
+        }
+    }
+
+
+def smooth_ramp_to(
+    *, axis: int, position: int, start_hz: int, speed_hz: int, ramp_steps: int
+) -> Command:
+    """The same to a position."""
+    return {
+        "smooth_ramp_to": {
+            "axis": axis,
+            "position": position,
+            "start_hz": start_hz,
+            "speed_hz": speed_hz,
+            "ramp_steps": ramp_steps,
+        }
+    }
+
+
 def line(*, steps: Sequence[int], speed_hz: int, accel: int, jerk: int | None = None) -> Command:
     """All axes start and end together; speed and acceleration are those of the axis with most steps."""
     return {"line": _given(steps=list(steps), speed_hz=speed_hz, accel=accel, jerk=jerk)}

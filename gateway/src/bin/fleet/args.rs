@@ -176,11 +176,15 @@ Commands; ways in steps, accel in steps/s², jerk in steps/s³:
   {\"sync_move\":{\"delay_us\":[500,1000],\"steps\":[2000,1000]}}         axes 0 and 1
   {\"ramp\":{\"axis\":0,\"steps\":1000,\"speed_hz\":500,\"accel\":100}}     relative (1)
   {\"ramp_to\":{\"axis\":0,\"position\":0,\"speed_hz\":500,\"accel\":100}}  absolute (1)
+  {\"smooth_ramp\":{\"axis\":0,\"steps\":6000,\"start_hz\":500,\"speed_hz\":1500,
+                  \"ramp_steps\":500}}                         relative (3)
+  {\"smooth_ramp_to\":{\"axis\":0,\"position\":0,…}}         the same, absolute (3)
   {\"line\":{\"steps\":[9000,4000],\"speed_hz\":5000,\"accel\":10000}}    all axes (2)
   {\"pause\":{\"ms\":100}}  {\"laser\":{\"power_percent\":50}}  {\"lidar_read\":{}}
   {\"set_position\":{\"axis\":0,\"position\":0}}  {\"barrier\":{\"name\":\"layer-2\"}}
   {\"wait_resume\":{}}       rests until `fleet resume`; not in synchronized jobs
   (1) may have \"linear_steps\" and \"jump_steps\", or \"jerk\"  (2) may have \"jerk\"
+  (3) speed goes by 3x² - 2x³ over ramp_steps, as ESP-IDF's smoothstep; start_hz < speed_hz
 
 Examples:
   fleet submit square.json --node left --wait

@@ -4,11 +4,14 @@ use super::{EmulatedNode, InnerNode, outputs::DriveNote};
 use crate::{
     config::{EmulatorConfig, Recording},
     pins::PinEvent,
-    record::{Driven, Held, InputEdge, Life, TakenCommand},
+    record::{Driven, Held, InputEdge, Life, Speed, TakenCommand},
 };
 use keys::{AxisId, BatchReader, LocalMicros, Order, QueueId, StopReport, epoch, signed::Proof};
 use motion::{TICKS_PER_US, io::input::PinLevel};
 use std::mem;
+
+/// All of its speed.
+pub(super) const SHARE_AT_BOOT: u32 = 1 << 16;
 
 /// See the module; [`Life`] says what each of them is.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +22,7 @@ pub(super) struct Recorded {
     pub(super) edges: Vec<PinEvent>,
     pub(super) inputs: Vec<InputEdge>,
     pub(super) holds: Vec<Held>,
+    pub(super) speeds: Vec<Speed>,
     pub(super) drives: Vec<Driven>,
     pub(super) paced: bool,
     pub(super) cut: bool,
@@ -37,6 +41,7 @@ impl Recorded {
             edges: self.edges,
             inputs: self.inputs,
             holds: self.holds,
+            speeds: self.speeds,
             drives: self.drives,
             homes: config.home_facts(),
             beside: config.beside_facts(),
@@ -107,10 +112,22 @@ impl EmulatedNode {
         }
     }
 
-    /// Notes whether motion is held now.
+    /// Notes whether motion is held now, and its speed.
     pub(super) fn record_hold(&mut self) {
         let motion = self.node.motion();
         let at = motion.now().0;
+        let share = motion.speed_share();
+        let before = self.recorded.speeds.last();
+        if let Recording::Edges { max } = self.config.record
+            && share != before.map_or(SHARE_AT_BOOT, |speed| speed.share)
+            && !self.recorded.cut
+        {
+            self.recorded.speeds.push(Speed {
+                at_ticks: at,
+                share,
+            });
+            self.recorded.cut |= self.recorded.speeds.len() > max;
+        }
         let open = self.recorded.holds.last_mut();
         let open = open.filter(|held| held.until_ticks.is_none());
         match (open, motion.is_held(), self.config.record) {

@@ -1,5 +1,5 @@
-//! Steps by number alone, for a boot in which the node was held or ran at another speed: then only the
-//! node's operator knows when a step was due.
+//! Steps by number alone, for a boot in which the node was homed, and was held or ran at another speed:
+//! then only the node's operator knows when a step was due.
 
 use super::{Judge, positions_after};
 use crate::record::Life;

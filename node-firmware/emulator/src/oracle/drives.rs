@@ -3,10 +3,13 @@
 //! Nobody can say where such an axis ought to be at which instant: it is changed in flight, and comes to
 //! rest when nobody renews it. But while it is driven the queue rests, so all its steps of that time are
 //! the drive's; and textbook bounds them: no faster and no harder than any of its orders allows, from
-//! rest to rest. The queue goes on from where it ends.
+//! rest, or the jump of one of them, to rest. The queue goes on from where it ends.
 
 use super::{Judge, Step, TICK_HZ};
-use crate::record::{Driven, Life};
+use crate::{
+    kinematics::Ideal,
+    record::{Driven, Life},
+};
 
 /// What a drive has made of an axis' position.
 #[derive(Clone, Copy, Debug)]
@@ -62,9 +65,23 @@ impl Judge<'_> {
     fn judge_drive(&mut self, life: &Life, driven: &Driven, made: &[Step]) {
         let orders = &driven.orders;
         let speed = orders.iter().map(|order| order.speed_hz).max();
-        let accel = orders.iter().map(|order| order.accel_hz_per_s).max();
-        let (Some(speed), Some(accel)) = (speed.map(f64::from), accel.map(f64::from)) else {
+        let accel = orders.iter().map(Ideal::accel_of).reduce(f64::max);
+        let (Some(speed), Some(accel)) = (speed.map(f64::from), accel) else {
             return self.wrong(driven.from_ticks, "an axis is driven by nobody".into());
+        };
+        // A long move begins with all of its jump, and a smoothstep ends with one.
+        let jump = |at_end: bool| {
+            let ideals = orders.iter().map(|order| Ideal::of_ramp(1 << 40, order));
+            let speed = |ideal: Ideal| ideal.at(if at_end { ideal.total_s() } else { 0.0 }).speed;
+            ideals.map(speed).fold(0.0, f64::max)
+        };
+        let jumps = [jump(false), jump(true)];
+        // Two edges are a step apart, and the nearer one less than a step from the place of rest,
+        // which need not be a whole one where the drive was left on its way.
+        let least = |jump: f64| {
+            let square = jump * jump;
+            let root = (square + 4.0 * accel).sqrt() + (square + 2.0 * accel).sqrt();
+            2.0 / root
         };
         let stopped = |stop: u64| (driven.from_ticks..).contains(&stop);
         let was_stopped = life.stops.iter().any(|stop| stopped(stop.at.0 * 16));
@@ -90,7 +107,14 @@ impl Judge<'_> {
             }
             for (step, pair) in run.iter().zip(intervals.windows(2)) {
                 let change = (1.0 / pair[1] - 1.0 / pair[0]).abs();
-                let most = accel * (pair[0] + pair[1]) / 2.0 + error(pair[0]) + error(pair[1]);
+                // Between the two it may have rested, and jumped.
+                let jump = match jumps {
+                    [begin, _] if pair[0] > pair[1] && pair[0] >= least(0.0) => begin,
+                    [_, end] if pair[1] > pair[0] && pair[1] >= least(0.0) => end,
+                    _ => 0.0,
+                };
+                let mean = accel * (pair[0] + pair[1]) / 2.0;
+                let most = mean + jump + error(pair[0]) + error(pair[1]);
                 if change > most {
                     let is = change / (pair[0] + pair[1]) * 2.0;
                     self.wrong(
@@ -100,17 +124,14 @@ impl Judge<'_> {
                     return;
                 }
             }
-            // Two edges are a step apart, and the nearer one less than a step from the place of rest,
-            // which need not be a whole one where the drive was left on its way.
-            let least = (2.0 - 2.0_f64.sqrt()) / accel.sqrt();
             let slack = 3.0 / TICK_HZ as f64;
             let is_last = number + 1 == runs.len();
             let rests = [
-                intervals.first(),
-                intervals.last().filter(|_| !is_last || ends),
+                (intervals.first(), jumps[0]),
+                (intervals.last().filter(|_| !is_last || ends), jumps[1]),
             ];
-            for interval in rests.into_iter().flatten() {
-                if *interval + slack < least {
+            for (interval, jump) in rests {
+                if interval.is_some_and(|interval| interval + slack < least(jump)) {
                     self.wrong(
                         run[0].at,
                         format!("axis {axis} is driven, but not from rest to rest"),

@@ -69,6 +69,13 @@ impl Holds {
         }
     }
 
+    /// What has ended by then is over.
+    pub(super) fn pass(&mut self, until: u64) {
+        for stand in self.0.iter_mut().filter(|stand| stand.until <= until) {
+            stand.counted = true;
+        }
+    }
+
     /// Returns by how much the end of a command is later: what was found since the last call.
     pub(super) fn take_found(&mut self) -> u64 {
         let found = self.0.iter_mut().filter(|stand| !stand.counted);

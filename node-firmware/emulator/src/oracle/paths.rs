@@ -103,9 +103,9 @@ impl Piece {
             tool: squares.sum::<f64>().sqrt(),
             law: Law {
                 speed: f64::from(ramp.speed_hz),
-                accel: f64::from(ramp.accel_hz_per_s),
+                accel: Ideal::accel_of(&ramp),
                 jerk: match ramp.shape {
-                    RampShape::Trapezoid { .. } => None,
+                    RampShape::Trapezoid { .. } | RampShape::Smooth { .. } => None,
                     RampShape::Jerk { jerk_hz_per_s2 } => Some(f64::from(jerk_hz_per_s2)),
                 },
                 ramp,
@@ -113,6 +113,25 @@ impl Piece {
             ideal: Ideal::of_ramp(most, &ramp),
             axes,
         })
+    }
+
+    /// The same up to another speed.
+    pub(super) fn at_speed_of(&self, speed: f64) -> Self {
+        let mut piece = self.clone();
+        piece.law.speed = speed;
+        piece.ideal = Ideal::of_ramp_up_to(self.most as u64, &self.law.ramp, speed);
+        piece
+    }
+
+    /// Whether the textbook has a path of that speed: a smoothstep is none beyond its ends.
+    pub(super) fn has_ideal(&self) -> bool {
+        let ramp = &self.law.ramp;
+        match ramp.shape {
+            RampShape::Smooth { start_hz, .. } => {
+                (f64::from(start_hz)..=f64::from(ramp.speed_hz)).contains(&self.law.speed)
+            }
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => true,
+        }
     }
 
     /// The axis with most steps.
@@ -131,12 +150,12 @@ impl Piece {
     }
 
     /// When the middle of the first step is due, seconds from the beginning.
-    fn first_edge_s(&self) -> f64 {
+    pub(super) fn first_edge_s(&self) -> f64 {
         self.ideal.time_at(0.5)
     }
 
     /// Seconds from the middle of the last step to the end.
-    fn last_edge_s(&self) -> f64 {
+    pub(super) fn last_edge_s(&self) -> f64 {
         self.ideal.total_s() - self.ideal.time_at(self.most - 0.5)
     }
 
@@ -150,13 +169,13 @@ impl Piece {
 }
 
 /// How the edges of one axis fit into a path.
-struct Fit {
+pub(super) struct Fit {
     /// Edges that do.
     count: u64,
     /// When the path began by them.
     begin: Window,
     /// The first edge that does not.
-    off: Option<(u64, String)>,
+    pub(super) off: Option<(u64, String)>,
 }
 
 impl Judge<'_> {
@@ -172,6 +191,12 @@ impl Judge<'_> {
             .axes
             .iter()
             .map(|going| (going.axis, going.steps.signum()));
+        let pace = self.pace_of(pieces, scope);
+        let first_at = self.axes[first.main()].next(scope.until);
+        self.relax_held(
+            anchor,
+            first_at.map_or(f64::INFINITY, |step| step.at as f64),
+        );
         let begin = self.begin(anchor, first.taken, first.main(), signs);
         let begin = begin.unwrap_or(Window {
             low: 0.0,
@@ -182,11 +207,21 @@ impl Judge<'_> {
             low: first.taken.max(self.not_before) as f64,
             high: begin.high.max(first.taken as f64),
         });
-        let end = if pieces.len() == 1 {
-            self.read_single(first, begin, scope)
-        } else {
-            self.read_chain(pieces, begin, scope)
+        let planned = pace.as_ref().map(|pace| pace.planned(pieces, self));
+        let end = match (&pace, planned) {
+            (Some(pace), planned) if pace.is_changed() || matches!(planned, Some(None)) => {
+                self.read_changed(pieces, pace, begin, scope)
+            }
+            (_, planned) => {
+                let planned = planned.flatten();
+                let pieces = planned.as_deref().unwrap_or(pieces);
+                match pieces {
+                    [piece] => self.read_single(piece, begin, scope),
+                    _ => self.read_chain(pieces, begin, scope),
+                }
+            }
         };
+        self.pass_path(pace.as_ref());
         // What began on one axis may end on another one, which started a little off.
         let skew = if first.main() == last.main() {
             0.0
@@ -261,7 +296,7 @@ impl Judge<'_> {
         }
         let (points, _) = self.take_points(std::slice::from_ref(piece), scope);
         if scope.stop_at < u64::MAX {
-            self.check_way_to_rest(std::slice::from_ref(piece), &points, scope);
+            self.check_way_to_rest(std::slice::from_ref(piece), &points, scope, false);
         }
         None
     }
@@ -290,7 +325,7 @@ impl Judge<'_> {
     }
 
     /// Compares the next steps of an axis with a path that begins within `begin`.
-    fn fit(&self, piece: &Piece, going: Going, begin: Window, until: u64) -> Fit {
+    pub(super) fn fit(&self, piece: &Piece, going: Going, begin: Window, until: u64) -> Fit {
         let seen = &self.axes[going.axis];
         let count = going.steps.unsigned_abs();
         let mut fit = Fit {
@@ -338,7 +373,7 @@ impl Judge<'_> {
 
     /// Takes the steps of pieces that follow each other, by count and direction alone. Returns
     /// them in order of place, and how many pieces are whole.
-    fn take_points(&mut self, pieces: &[Piece], scope: &Scope) -> (Vec<Point>, usize) {
+    pub(super) fn take_points(&mut self, pieces: &[Piece], scope: &Scope) -> (Vec<Point>, usize) {
         let mut points = Vec::new();
         let mut begin = 0.0;
         for (index, piece) in pieces.iter().enumerate() {
@@ -411,7 +446,7 @@ impl Judge<'_> {
         let start = start.meet(begin);
         if whole < pieces.len() {
             if scope.stop_at < u64::MAX {
-                self.check_way_to_rest(pieces, &points, scope);
+                self.check_way_to_rest(pieces, &points, scope, false);
             }
             return None;
         }
@@ -445,7 +480,13 @@ impl Judge<'_> {
     }
 
     /// What is made of a path after a stop: on the path, by its limits, and soon at rest.
-    fn check_way_to_rest(&mut self, pieces: &[Piece], points: &[Point], scope: &Scope) {
+    pub(super) fn check_way_to_rest(
+        &mut self,
+        pieces: &[Piece],
+        points: &[Point],
+        scope: &Scope,
+        changed: bool,
+    ) {
         let axes = pieces.iter().flat_map(|piece| &piece.axes);
         axes.for_each(|going| self.axes[going.axis].rests = true);
         let Some(last) = points.iter().map(|point| point.at).reduce(f64::max) else {
@@ -455,8 +496,11 @@ impl Judge<'_> {
             at: scope.stop_at as f64,
             last,
         };
-        let single = pieces.len() == 1;
-        let track = Track::new(pieces, self.limits, stopped.end_of(pieces, points));
+        let single = pieces.len() == 1 && !changed;
+        let mut track = Track::new(pieces, self.limits, stopped.end_of(pieces, points));
+        if changed {
+            track = track.changed();
+        }
         let faults = if single {
             track.faults(points)
         } else {

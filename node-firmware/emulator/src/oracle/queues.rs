@@ -45,6 +45,8 @@ pub(super) struct Anchor {
     timeless: u32,
     /// When the latest of these commands was taken.
     taken: u64,
+    /// When the first of them began or ended.
+    seen: f64,
 }
 
 impl Anchor {
@@ -54,7 +56,18 @@ impl Anchor {
             due,
             timeless: 0,
             taken,
+            seen: due.low,
         }
+    }
+
+    /// When the command that was seen last began, or ended if it was a path, ticks.
+    pub(super) fn seen(&self) -> f64 {
+        self.seen
+    }
+
+    /// What comes next may come at any later time.
+    pub(super) fn relax(&mut self) {
+        self.due.high = f64::INFINITY;
     }
 }
 

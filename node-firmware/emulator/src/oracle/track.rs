@@ -31,6 +31,9 @@ pub(super) struct Point {
     pub(super) main: bool,
 }
 
+/// Where a path is changed, two edges may be so much farther off.
+const CHANGE_TICKS: f64 = 2.0;
+
 /// Where and when, in words.
 pub(super) type Fault = (f64, String);
 
@@ -118,6 +121,10 @@ pub(super) struct Track<'p> {
     pieces: &'p [Piece],
     legs: Vec<Leg>,
     limits: &'p Limits,
+    /// How far an edge may be off, ticks.
+    edge_ticks: f64,
+    /// It may have rested on its way.
+    rests: bool,
 }
 
 impl<'p> Track<'p> {
@@ -133,7 +140,7 @@ impl<'p> Track<'p> {
                 length: most,
                 speed: piece.law.speed * share,
                 accel: piece.law.accel * share,
-                enter: piece.ideal.at(0.0).speed * share,
+                enter: piece.ideal.at(0.0).speed.min(piece.law.speed) * share,
                 leave: 0.0,
                 begin_s: 0.0,
             };
@@ -150,7 +157,11 @@ impl<'p> Track<'p> {
             let reached = before.enter.powi(2) + 2.0 * before.accel * before.length;
             legs[index].enter = legs[index].enter.min(reached.sqrt());
         }
-        let mut leave = 0.0f64;
+        // Rest, or the speed from which a smoothstep rests.
+        let mut leave = pieces.last().map_or(0.0, |piece| {
+            let speed = piece.ideal.at(piece.ideal.total_s()).speed;
+            speed.min(piece.law.speed) * piece.tool / piece.most
+        });
         for leg in legs.iter_mut().rev() {
             leg.leave = leave;
             let braked = (leave * leave + 2.0 * leg.accel * leg.length).sqrt();
@@ -166,6 +177,18 @@ impl<'p> Track<'p> {
             pieces,
             legs,
             limits,
+            edge_ticks: EDGE_TICKS,
+            rests: false,
+        }
+    }
+
+    /// The same for a path that was changed in flight: it may have come to rest anywhere, and where
+    /// it was changed the hardware may not be able to rest as shortly as it should.
+    pub(super) fn changed(self) -> Self {
+        Self {
+            edge_ticks: EDGE_TICKS + CHANGE_TICKS,
+            rests: true,
+            ..self
         }
     }
 
@@ -207,7 +230,7 @@ impl<'p> Track<'p> {
         let mut latest: Option<Point> = None;
         for point in points {
             if let Some(latest) = latest {
-                let early = latest.at - point.at - 2.0 * EDGE_TICKS - self.skew();
+                let early = latest.at - point.at - 2.0 * self.edge_ticks - self.skew();
                 if early > 0.0 {
                     let message = format!(
                         "{}: off the straight line, {early:.0} ticks before axis {} was there",
@@ -235,7 +258,7 @@ impl<'p> Track<'p> {
             } else {
                 self.skew()
             };
-            let early = behind - delay - 2.0 * EDGE_TICKS - skew - 0.01;
+            let early = behind - delay - 2.0 * self.edge_ticks - skew - 0.01;
             if early > 0.0 {
                 let message = format!(
                     "{}: too fast for speed, acceleration or corner, {early:.1} ticks early",
@@ -256,6 +279,8 @@ impl<'p> Track<'p> {
             let (found, slack) = self.mean_accel(&three);
             let legs = &self.legs[three[0].piece..=three[2].piece];
             let most = legs.iter().map(|leg| leg.accel).fold(0.0, f64::max);
+            let half_s = (three[2].at - three[0].at) / TICK_HZ as f64 / 2.0;
+            let slack = slack + self.jump(&three) / half_s;
             (found.abs() > most * (1.0 + 1e-9) + slack).then(|| {
                 let share = self.share(&three[2]);
                 let message = format!(
@@ -296,6 +321,20 @@ impl<'p> Track<'p> {
         })
     }
 
+    /// By how much the speed may jump where it has rested: to and from the first speed of a
+    /// smoothstep.
+    fn jump(&self, three: &[Point; 3]) -> f64 {
+        if !self.rests {
+            return 0.0;
+        }
+        let jump = |piece: &Piece| match piece.law.ramp.shape {
+            RampShape::Smooth { start_hz, .. } => f64::from(start_hz) * piece.tool / piece.most,
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => 0.0,
+        };
+        let pieces = &self.pieces[three[0].piece..=three[2].piece];
+        pieces.iter().map(jump).fold(0.0, f64::max)
+    }
+
     /// Tool's way in one step of the axis with most.
     fn share(&self, point: &Point) -> f64 {
         let piece = &self.pieces[point.piece];
@@ -305,7 +344,7 @@ impl<'p> Track<'p> {
     /// The mean acceleration over three edges, and by how much a tick may falsify it.
     fn mean_accel(&self, three: &[Point; 3]) -> (f64, f64) {
         let same = three.iter().all(|point| point.axis == three[0].axis);
-        let off = EDGE_TICKS + if same { 0.0 } else { self.skew() };
+        let off = self.edge_ticks + if same { 0.0 } else { self.skew() };
         let speed = |from: &Point, to: &Point| {
             let ticks = to.at - from.at;
             let speed = (to.place - from.place) * TICK_HZ as f64 / ticks;
@@ -410,6 +449,10 @@ fn fall_s(piece: &Piece, speed: f64) -> f64 {
             let linear = match law.ramp.shape {
                 RampShape::Trapezoid { linear_steps, .. } => f64::from(linear_steps),
                 RampShape::Jerk { .. } => 0.0,
+                // Not longer than all of its fall.
+                RampShape::Smooth { .. } => {
+                    return Ideal::of_ramp(1 << 50, &law.ramp).fall_s();
+                }
             };
             Ideal::linear(far, speed, law.accel, linear, 0.0).fall_s()
         }

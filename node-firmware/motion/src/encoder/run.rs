@@ -53,6 +53,7 @@ impl Encoder {
         };
         let last = words[count - 1];
         self.interval_ticks = last.ticks();
+        self.speed_ticks = self.interval_ticks;
         self.low_ticks_since_step = last.second().0;
         self.resting = false;
         self.interval = after;

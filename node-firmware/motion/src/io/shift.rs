@@ -186,8 +186,10 @@ impl ShiftPins {
         }
     }
 
-    /// Gives what is to be done now; call it until it gives `None`.
-    pub fn poll(&mut self, now: Ticks) -> Option<ShiftEvent> {
+    /// Gives what is to be done now; call it until it gives `None`. A word that it gives leaves `here`:
+    /// who makes up for time in which nobody polled is behind it, and the register has its time all
+    /// the same.
+    pub fn poll(&mut self, now: Ticks, here: Ticks) -> Option<ShiftEvent> {
         if let State::Sent { word, until } = self.state
             && until <= now
         {
@@ -197,7 +199,7 @@ impl ShiftPins {
         match self.state {
             State::Due(at) if at <= now => {
                 let word = self.wanted;
-                let until = now.plus(ANSWER_TICKS_MAX);
+                let until = now.max(here).plus(ANSWER_TICKS_MAX);
                 self.state = State::Sent { word, until };
                 Some(ShiftEvent::Send(word))
             }
@@ -266,13 +268,18 @@ mod tests {
         Ticks(ms * 1_000 * TICKS_PER_US)
     }
 
+    /// Polls in time.
+    fn poll(pins: &mut ShiftPins, now: Ticks) -> Option<ShiftEvent> {
+        pins.poll(now, now)
+    }
+
     /// Sixteen pins that show this word, confirmed.
     fn quiet(word: u32) -> ShiftPins {
         let mut pins = ShiftPins::new(16, word, ms(0));
-        assert_eq!(pins.poll(ms(0)), Some(ShiftEvent::Send(word)));
+        assert_eq!(poll(&mut pins, ms(0)), Some(ShiftEvent::Send(word)));
         pins.confirm(word, ms(0));
-        assert_eq!(pins.poll(ms(0)), Some(ShiftEvent::Confirmed));
-        assert_eq!((pins.poll(ms(0)), pins.poll_timeout()), (None, None));
+        assert_eq!(poll(&mut pins, ms(0)), Some(ShiftEvent::Confirmed));
+        assert_eq!((poll(&mut pins, ms(0)), pins.poll_timeout()), (None, None));
         pins
     }
 
@@ -283,15 +290,15 @@ mod tests {
         assert_eq!(pins.is_confirmed(0), Ok(false));
         assert_eq!(pins.is_confirmed(4), Ok(true), "another pin");
         assert_eq!(pins.poll_timeout(), Some(ms(5)));
-        assert_eq!(pins.poll(ms(5)), Some(ShiftEvent::Send(0x00f1)));
-        assert_eq!(pins.poll(ms(6)), None);
+        assert_eq!(poll(&mut pins, ms(5)), Some(ShiftEvent::Send(0x00f1)));
+        assert_eq!(poll(&mut pins, ms(6)), None);
         assert_eq!(pins.poll_timeout(), Some(ms(25)));
         // Bits of pins that are not there mean nothing.
         pins.confirm(0xffff_00f1, ms(7));
         assert_eq!(pins.is_confirmed(0), Ok(true));
         assert_eq!(pins.poll_timeout(), Some(Ticks(0)));
-        assert_eq!(pins.poll(ms(7)), Some(ShiftEvent::Confirmed));
-        assert_eq!((pins.poll(ms(99)), pins.poll_timeout()), (None, None));
+        assert_eq!(poll(&mut pins, ms(7)), Some(ShiftEvent::Confirmed));
+        assert_eq!((poll(&mut pins, ms(99)), pins.poll_timeout()), (None, None));
         assert_eq!((pins.get(0), pins.get(1)), (Ok(true), Ok(false)));
     }
 
@@ -301,35 +308,35 @@ mod tests {
         for pin in [1, 3, 15] {
             assert_eq!(pins.set(pin, true, ms(1)), Ok(()));
         }
-        assert_eq!(pins.poll(ms(1)), Some(ShiftEvent::Send(0x800a)));
+        assert_eq!(poll(&mut pins, ms(1)), Some(ShiftEvent::Send(0x800a)));
         pins.confirm(0x800a, ms(1));
-        assert_eq!(pins.poll(ms(1)), Some(ShiftEvent::Confirmed));
+        assert_eq!(poll(&mut pins, ms(1)), Some(ShiftEvent::Confirmed));
         assert_eq!(pins.set(3, true, ms(2)), Ok(()), "it is");
-        assert_eq!((pins.poll(ms(2)), pins.poll_timeout()), (None, None));
+        assert_eq!((poll(&mut pins, ms(2)), pins.poll_timeout()), (None, None));
         // There and back is sent, and so confirmed anew.
         assert_eq!(pins.set(3, false, ms(3)), Ok(()));
         assert_eq!(pins.set(3, true, ms(3)), Ok(()));
-        assert_eq!(pins.poll(ms(3)), Some(ShiftEvent::Send(0x800a)));
+        assert_eq!(poll(&mut pins, ms(3)), Some(ShiftEvent::Send(0x800a)));
     }
 
     #[test]
     fn a_change_while_a_word_is_under_way_follows_it() {
         let mut pins = quiet(0);
         assert_eq!(pins.set(0, true, ms(1)), Ok(()));
-        assert_eq!(pins.poll(ms(1)), Some(ShiftEvent::Send(1)));
+        assert_eq!(poll(&mut pins, ms(1)), Some(ShiftEvent::Send(1)));
         assert_eq!(pins.set(0, false, ms(2)), Ok(()));
         assert_eq!(
             pins.is_confirmed(0),
             Ok(false),
             "the word under way sets it"
         );
-        assert_eq!(pins.poll(ms(2)), None, "one word at a time");
+        assert_eq!(poll(&mut pins, ms(2)), None, "one word at a time");
         pins.confirm(1, ms(3));
         assert_eq!(pins.is_confirmed(0), Ok(false));
-        assert_eq!(pins.poll(ms(3)), Some(ShiftEvent::Send(0)));
+        assert_eq!(poll(&mut pins, ms(3)), Some(ShiftEvent::Send(0)));
         pins.confirm(0, ms(4));
         assert_eq!(pins.is_confirmed(0), Ok(true));
-        assert_eq!(pins.poll(ms(4)), Some(ShiftEvent::Confirmed));
+        assert_eq!(poll(&mut pins, ms(4)), Some(ShiftEvent::Confirmed));
     }
 
     #[test]
@@ -338,21 +345,25 @@ mod tests {
         assert_eq!(pins.set(2, true, ms(10)), Ok(()));
         let mut now = ms(10);
         for wrong in 0..RETRIES_MAX {
-            assert_eq!(pins.poll(now), Some(ShiftEvent::Send(4)), "try {wrong}");
+            assert_eq!(
+                poll(&mut pins, now),
+                Some(ShiftEvent::Send(4)),
+                "try {wrong}"
+            );
             pins.confirm(0, now);
             assert_eq!(pins.is_confirmed(2), Ok(false));
             assert_eq!(pins.is_confirmed(1), Ok(false), "nothing is known");
             assert_eq!(pins.poll_timeout(), Some(now.plus(RETRY_TICKS)));
-            assert_eq!(pins.poll(Ticks(now.0 + RETRY_TICKS - 1)), None);
+            assert_eq!(poll(&mut pins, Ticks(now.0 + RETRY_TICKS - 1)), None);
             now = now.plus(RETRY_TICKS);
         }
-        assert_eq!(pins.poll(now), Some(ShiftEvent::Send(4)));
+        assert_eq!(poll(&mut pins, now), Some(ShiftEvent::Send(4)));
         pins.confirm(4, now);
-        assert_eq!(pins.poll(now), Some(ShiftEvent::Confirmed));
+        assert_eq!(poll(&mut pins, now), Some(ShiftEvent::Confirmed));
         assert_eq!(pins.is_confirmed(1), Ok(true));
         // All tries are there again for the next word.
         assert_eq!(pins.set(2, false, now), Ok(()));
-        assert_eq!(pins.poll(now), Some(ShiftEvent::Send(0)));
+        assert_eq!(poll(&mut pins, now), Some(ShiftEvent::Send(0)));
         pins.confirm(4, now);
         assert_eq!(pins.fault(), None);
     }
@@ -368,7 +379,7 @@ mod tests {
         let mut found = None;
         while let Some(at) = pins.poll_timeout() {
             now = now.max(at);
-            while let Some(event) = pins.poll(now) {
+            while let Some(event) = poll(pins, now) {
                 match event {
                     ShiftEvent::Send(word) => {
                         words.push(word);
@@ -404,15 +415,15 @@ mod tests {
         // A wish is kept, and nothing is sent until the fault is over.
         assert_eq!(pins.set(0, true, ms(50)), Ok(()));
         pins.confirm(5, ms(50));
-        assert_eq!((pins.poll(ms(50)), pins.poll_timeout()), (None, None));
+        assert_eq!((poll(&mut pins, ms(50)), pins.poll_timeout()), (None, None));
         assert_eq!(pins.fault(), Some(expected));
         pins.reset(ms(60));
-        assert_eq!(pins.poll(ms(60)), Some(ShiftEvent::Send(5)));
+        assert_eq!(poll(&mut pins, ms(60)), Some(ShiftEvent::Send(5)));
         pins.confirm(5, ms(60));
-        assert_eq!(pins.poll(ms(60)), Some(ShiftEvent::Confirmed));
+        assert_eq!(poll(&mut pins, ms(60)), Some(ShiftEvent::Confirmed));
         assert_eq!(pins.is_confirmed(0), Ok(true));
         pins.reset(ms(70));
-        assert_eq!(pins.poll(ms(70)), None, "there was no fault");
+        assert_eq!(poll(&mut pins, ms(70)), None, "there was no fault");
 
         let (words, fault) = {
             assert_eq!(pins.set(0, false, ms(80)), Ok(()));
@@ -437,7 +448,7 @@ mod tests {
         let mut sent_count = 0;
         let fault = loop {
             assert_eq!(pins.set(0, sent_count % 2 == 0, now), Ok(()));
-            match pins.poll(now) {
+            match poll(&mut pins, now) {
                 Some(ShiftEvent::Send(_)) => sent_count += 1,
                 Some(ShiftEvent::Fault(fault)) => break fault,
                 other => panic!("{other:?}"),
@@ -451,16 +462,35 @@ mod tests {
     }
 
     #[test]
+    fn a_word_that_is_sent_late_has_its_time_on_the_wire() {
+        // Nobody polled for 300 ms: what should have happened meanwhile is made up for at once.
+        let mut pins = quiet(0);
+        assert_eq!(pins.set(0, true, ms(0)), Ok(()));
+        assert_eq!(poll(&mut pins, ms(0)), Some(ShiftEvent::Send(1)));
+        let (here, mut words) = (ms(300), 0);
+        while let Some(at) = pins.poll_timeout().filter(|at| *at <= here) {
+            match pins.poll(at, here) {
+                Some(ShiftEvent::Send(1)) => words += 1,
+                other => assert_eq!(other, None),
+            }
+        }
+        assert_eq!(words, 1);
+        assert_eq!(pins.poll_timeout(), Some(ms(320)));
+        pins.confirm(1, ms(319));
+        assert_eq!(poll(&mut pins, ms(319)), Some(ShiftEvent::Confirmed));
+    }
+
+    #[test]
     fn an_answer_that_comes_too_late_means_nothing() {
         let mut pins = quiet(0);
         assert_eq!(pins.set(0, true, ms(0)), Ok(()));
-        assert_eq!(pins.poll(ms(0)), Some(ShiftEvent::Send(1)));
-        assert_eq!(pins.poll(ms(20)), None, "too late; again in 1 ms");
+        assert_eq!(poll(&mut pins, ms(0)), Some(ShiftEvent::Send(1)));
+        assert_eq!(poll(&mut pins, ms(20)), None, "too late; again in 1 ms");
         pins.confirm(1, ms(20));
         assert_eq!(pins.is_confirmed(0), Ok(false));
-        assert_eq!(pins.poll(ms(21)), Some(ShiftEvent::Send(1)));
+        assert_eq!(poll(&mut pins, ms(21)), Some(ShiftEvent::Send(1)));
         pins.confirm(1, ms(22));
-        assert_eq!(pins.poll(ms(22)), Some(ShiftEvent::Confirmed));
+        assert_eq!(poll(&mut pins, ms(22)), Some(ShiftEvent::Confirmed));
         pins.confirm(0, ms(23));
         assert_eq!(pins.is_confirmed(0), Ok(true), "nobody asked");
     }
@@ -477,7 +507,7 @@ mod tests {
                 assert_eq!(pins.set(pin, true, ms(0)).is_ok(), there);
             }
             let all = ((1_u64 << pin_count) - 1) as u32;
-            assert_eq!(pins.poll(ms(0)), Some(ShiftEvent::Send(all)));
+            assert_eq!(poll(&mut pins, ms(0)), Some(ShiftEvent::Send(all)));
         }
     }
 }

@@ -77,6 +77,7 @@ impl<B: StepBackend> Motion<'_, B> {
             self.hold = Hold::At(Place::Path(split));
             end = Ticks(u64::MAX);
         }
+        self.dry_by_hold &= self.rests_on_path();
         if let Some(what) = what {
             self.marks.push(Mark { end, what });
         }
@@ -95,6 +96,7 @@ impl<B: StepBackend> Motion<'_, B> {
             Hold::None => self.hold = Hold::Slowing,
         }
         self.planner.hold(true);
+        self.dry_by_hold = true;
         self.withhold_laser();
         if now >= self.now {
             self.change_soon();
@@ -198,6 +200,11 @@ impl<B: StepBackend> Motion<'_, B> {
         self.share = (percent << 16) / 100;
         self.change_soon();
         self.planner.set_share(self.share);
+    }
+
+    /// Returns the share of their speed at which ramps and lines run, 2⁻¹⁶.
+    pub fn speed_share(&self) -> u32 {
+        self.share
     }
 
     pub(super) fn undo_steps(&mut self, what: What) {

@@ -132,8 +132,17 @@ impl<B: StepBackend> Motion<'_, B> {
                 steps: i32::MIN, ..
             } => Err(CommandError::Range),
             Command::Ramp { axis, ramp, .. } | Command::RampTo { axis, ramp, .. } => {
-                let no_jerk = matches!(ramp.shape, RampShape::Jerk { jerk_hz_per_s2: 0 });
-                if ramp.speed_hz == 0 || ramp.accel_hz_per_s == 0 || no_jerk {
+                let no_rise = match ramp.shape {
+                    RampShape::Smooth {
+                        start_hz,
+                        ramp_steps,
+                    } => start_hz == 0 || start_hz >= ramp.speed_hz || ramp_steps < 2,
+                    RampShape::Jerk { jerk_hz_per_s2: 0 } => true,
+                    RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => {
+                        ramp.accel_hz_per_s == 0
+                    }
+                };
+                if ramp.speed_hz == 0 || no_rise {
                     return Err(CommandError::Nothing);
                 }
                 too_fast(usize::from(axis.0), ramp.speed_hz, 1, 1).map_or(Ok(()), Err)

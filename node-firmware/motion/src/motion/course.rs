@@ -27,16 +27,6 @@ pub struct Course {
     pub(super) speed: Real,
     accel_hz_per_s: u32,
     pub(super) shape: RampShape,
-    smooth: Option<Smooth>,
-}
-
-/// A rise by the way instead of by an acceleration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Smooth {
-    /// First speed, steps per tick.
-    start: Real,
-    /// Over how many steps.
-    steps: u32,
 }
 
 impl Course {
@@ -44,14 +34,10 @@ impl Course {
     /// smoothstep, and slows down likewise: see [`smooth`](crate::smooth). A shorter move takes the
     /// first half of its way of the rise, and back.
     pub fn smooth(start_hz: u32, speed_hz: u32, ramp_steps: u32) -> Self {
-        let smooth = Smooth {
-            start: speed_from_hz(start_hz),
-            steps: ramp_steps,
-        };
-        Self {
-            smooth: Some(smooth),
-            ..Self::hz(speed_hz, 0)
-        }
+        Self::hz(speed_hz, 0).shaped(RampShape::Smooth {
+            start_hz,
+            ramp_steps,
+        })
     }
 
     /// A trapezoid up to `speed_hz` by `accel_hz_per_s` (steps/s²).
@@ -86,7 +72,6 @@ impl Course {
                 linear_steps: 0,
                 jump_steps: 0,
             },
-            smooth: None,
         }
     }
 
@@ -106,17 +91,17 @@ impl Course {
     }
 
     pub(super) fn law(&self) -> Law {
-        match self.smooth {
-            Some(smooth) => Law::smooth(smooth.start, self.speed, smooth.steps),
-            None => Law::new(self.accel_hz_per_s, self.shape),
-        }
+        Law::of(self.speed, self.accel_hz_per_s, self.shape)
     }
 
     pub(super) fn check(&self, interval_ticks_min: u64) -> Result<(), CommandError> {
-        let no_jerk = matches!(self.shape, RampShape::Jerk { jerk_hz_per_s2: 0 });
-        let no_rise = match self.smooth {
-            Some(Smooth { start, steps }) => start.is_none() || start >= self.speed || steps < 2,
-            None => self.accel_hz_per_s == 0 || no_jerk,
+        let no_rise = match self.shape {
+            RampShape::Smooth {
+                start_hz,
+                ramp_steps,
+            } => start_hz == 0 || speed_from_hz(start_hz) >= self.speed || ramp_steps < 2,
+            RampShape::Jerk { jerk_hz_per_s2: 0 } => true,
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => self.accel_hz_per_s == 0,
         };
         if self.speed.is_none() || no_rise {
             return Err(CommandError::Nothing);

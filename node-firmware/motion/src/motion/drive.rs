@@ -50,7 +50,7 @@ impl Leg {
         steps[axis] = way;
         Line {
             joins: false,
-            ..Line::by_law(steps, self.how.speed, self.how.law())
+            ..Line::new(steps, self.how.speed, self.how.law())
         }
     }
 }
@@ -370,7 +370,7 @@ impl<B: StepBackend> Motion<'_, B> {
         }
         let jump_steps = match leg.how.shape {
             RampShape::Trapezoid { jump_steps, .. } => jump_steps,
-            RampShape::Jerk { .. } => 0,
+            RampShape::Jerk { .. } | RampShape::Smooth { .. } => 0,
         };
         let axes = &self.backend.axes()[..self.axis_count];
         let line = leg.line(index, way);

@@ -137,8 +137,9 @@ impl<B: StepBackend> Motion<'_, B> {
         turned.unwrap_or(true)
     }
 
-    /// Switches an output: by the shift register if it is behind one.
-    pub(super) fn pass_enables(&mut self) -> Option<MotionEvent> {
+    /// Switches an output: by the shift register if it is behind one. It is `here` that what is told
+    /// happens, however late.
+    pub(super) fn pass_enables(&mut self, here: Ticks) -> Option<MotionEvent> {
         while let Some(change) = self.enables.poll(self.now) {
             let OutputChange { output, on } = change;
             let Some((shift, pin)) = self.shift.as_mut().and_then(|shift| shift.of(output)) else {
@@ -148,7 +149,7 @@ impl<B: StepBackend> Motion<'_, B> {
             set.expect("the pin is below the count");
         }
         let shift = self.shift.as_mut()?;
-        match shift.pins.poll(self.now)? {
+        match shift.pins.poll(self.now, here)? {
             ShiftEvent::Send(word) => Some(MotionEvent::ShiftOut { word }),
             ShiftEvent::Fault(fault) => Some(MotionEvent::ShiftFault(fault)),
             ShiftEvent::Confirmed => None,

@@ -226,6 +226,8 @@ impl<B: StepBackend> Motion<'_, B> {
                     self.withhold_laser();
                 }
                 let waits = turns || waits.is_some_and(|next| self.waits_for_rest(&next));
+                // What followed was not planned because motion was to be held.
+                let waits = mem::take(&mut self.dry_by_hold) || waits;
                 if self.executed_commands < self.expected_commands && !waits {
                     self.withhold_laser();
                     Some(MotionEvent::Underrun)

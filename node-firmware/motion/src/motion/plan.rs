@@ -8,7 +8,7 @@ use super::{
 use crate::{
     Axis, CommandRing, StepBackend, Ticks,
     io::enable::AxisSet,
-    law::speed_from_hz,
+    law::{Law, speed_from_hz},
     limits::{CHANNELS, PATH_AHEAD_TICKS},
     lookahead::{LINES_MAX, Line},
     planner::{Begun, Run, Split, command_ticks, runs_of, ticks_of},
@@ -147,6 +147,7 @@ impl<B: StepBackend> Motion<'_, B> {
                 self.note(&command, runs, end);
             }
             self.watch_edge(first_edge_at);
+            self.dry_by_hold &= self.rests_on_path();
             if let Some(start) = self.start.as_mut()
                 && start.first_edge_at.is_none()
             {
@@ -193,12 +194,13 @@ impl<B: StepBackend> Motion<'_, B> {
             all[usize::from(axis.0)] = steps;
             let jump_steps = match ramp.shape {
                 RampShape::Trapezoid { jump_steps, .. } => jump_steps,
-                RampShape::Jerk { .. } => 0,
+                RampShape::Jerk { .. } | RampShape::Smooth { .. } => 0,
             };
             let speed = speed_from_hz(ramp.speed_hz);
+            let law = Law::of(speed, ramp.accel_hz_per_s, ramp.shape);
             let line = Line {
                 joins: false,
-                ..Line::new(all, speed, ramp.accel_hz_per_s, ramp.shape)
+                ..Line::new(all, speed, law)
             };
             Some((line, jump_steps))
         };

@@ -85,6 +85,7 @@ impl<B: StepBackend> Motion<'_, B> {
         let ticks = self.planner.plan_left(mark.what.runs(), left_ticks, axes);
         let end = begin.plus(ticks);
         self.phase = Phase::Playing { timeline: end };
+        self.dry_by_hold = false;
         self.marks.push(Mark { end, ..mark });
     }
 

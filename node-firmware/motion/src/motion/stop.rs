@@ -1,7 +1,11 @@
 //! The one stop: from every state to rest, at once or on the path.
 
 use super::{Barrier, Hold, Motion, MotionEvent, Phase, outputs::Laser};
-use crate::{StepBackend, Ticks, limits::CHANNELS};
+use crate::{
+    StepBackend, Ticks,
+    limits::{CHANNELS, TICK_HZ},
+    real::Real,
+};
 use keys::{AxisId, StopMode};
 
 impl<B: StepBackend> Motion<'_, B> {
@@ -100,9 +104,15 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     pub(super) fn note_speeds(&mut self) {
+        let started_at = self.started_at.0;
         let axes = &self.backend.axes()[..self.axis_count];
-        for (to, axis) in self.encoded_mhz.iter_mut().zip(axes) {
-            let speed_mhz = axis.speed_mhz();
+        for (index, (to, axis)) in self.encoded_mhz.iter_mut().zip(axes).enumerate() {
+            let mut speed_mhz = axis.speed_mhz();
+            if speed_mhz == 0 && self.drives[index].is_some() {
+                // Behind a change in flight the encoder rests until the next edge, and the axis moves.
+                let speed = self.planner.way_speed(index, axis, started_at);
+                speed_mhz = (speed * Real::of(1_000 * TICK_HZ)).rounded();
+            }
             *to = match i32::try_from(speed_mhz) {
                 Ok(speed_mhz) => speed_mhz,
                 Err(_) if speed_mhz < 0 => i32::MIN,
@@ -119,6 +129,7 @@ impl<B: StepBackend> Motion<'_, B> {
         self.planner.forget();
         self.hold = Hold::None;
         self.change_due = false;
+        self.dry_by_hold = false;
         self.drives.fill(None);
         self.homing = None;
         self.laser = Laser::default();

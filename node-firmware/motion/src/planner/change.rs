@@ -1,6 +1,6 @@
 //! Changes in flight: what is not encoded is left, and a line goes on from there.
 
-use super::{Begun, CUT_MARGIN_TICKS, Made, Planner, Split, Tail, stretch::Stretch};
+use super::{Begun, CUT_MARGIN_TICKS, Made, Planner, Split, Tail, stretch::Stretch, unshared};
 use crate::{
     axis::Axis,
     path::Path,
@@ -107,6 +107,7 @@ impl Planner {
                 line,
                 mut from,
                 begin,
+                share,
                 base_steps,
                 ..
             } = *stretch;
@@ -116,7 +117,7 @@ impl Planner {
                 from.accel = Real::ZERO;
             }
             return Some(Split {
-                line: self.unshared(line),
+                line: unshared(line, share),
                 from,
                 at: begin,
                 base_steps,
@@ -133,7 +134,7 @@ impl Planner {
         stretch.end_ticks = cut;
         let (line, base_steps) = (stretch.line, stretch.base_steps);
         Some(Split {
-            line: self.unshared(line),
+            line: unshared(line, stretch.share),
             from,
             at: Moment::of(cut),
             base_steps,

@@ -31,6 +31,8 @@ pub(super) struct Stretch {
     pub(super) begin: Moment,
     pub(super) end_ticks: u64,
     pub(super) exit: Exit,
+    /// Share of its line's speed that it was planned with, 2⁻¹⁶.
+    pub(super) share: u32,
     /// Booked steps of each axis where the line began.
     pub(super) base_steps: [i64; CHANNELS],
 }

@@ -334,6 +334,7 @@ impl Planner {
             begin: Moment::of(begin),
             end_ticks: 0,
             exit: Exit::Rest,
+            share: self.share,
             base_steps: all_steps,
         };
         let mut steps = stretch.steps_of(index, &stretch.path(), &timing);
@@ -417,6 +418,7 @@ impl Planner {
             begin: split.at,
             end_ticks: 0,
             exit: Exit::Rest,
+            share: self.share,
             base_steps: split.base_steps,
         };
         let path = stretch.path();
