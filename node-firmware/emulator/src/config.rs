@@ -68,6 +68,9 @@ pub struct EmulatorConfig {
     pub record: Recording,
     /// What a script may take.
     pub script: script::Limits,
+    /// Scripts are interpreted by whoever has the node, as on a board with two cores; by default by the
+    /// node itself.
+    pub scripts_elsewhere: bool,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
     /// Folder of its stored scripts; by default in its flash, or in memory if it has none. Wall clock
@@ -109,6 +112,7 @@ impl EmulatorConfig {
             seed: 0,
             record: Recording::default(),
             script: script::Limits::default(),
+            scripts_elsewhere: false,
             boot_script: false,
             scripts: None,
             signers: node::signed::Keys::new(),
