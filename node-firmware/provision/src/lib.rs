@@ -16,6 +16,7 @@
 pub mod dialogue;
 pub mod frame;
 pub mod host;
+pub mod kit;
 pub mod machine;
 pub mod record;
 pub mod store;
