@@ -43,6 +43,7 @@ pub fn motion_of(record: &Record, axis_count: usize) -> MotionConfig {
         *to = AxisProfile::from(*from);
     }
     record.machine.tell(&mut config);
+    record.tuning.tell(&mut config);
     if config.cd.is_some() {
         config.shift = Some(SHIFT);
         config.enables = ENABLES.into_iter().collect();
