@@ -15,7 +15,7 @@ use crate::{
     plan::{WAKE, now},
     rmt::RmtBackend,
 };
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use embassy_futures::{select::select, yield_now};
 use embassy_sync::{
     blocking_mutex::raw::CriticalSectionRawMutex, channel::Channel, signal::Signal,
@@ -39,8 +39,9 @@ pub(crate) const LIMITS: Limits = Limits {
 
 /// A letter to the node: one at a time.
 static ASKED: Channel<CriticalSectionRawMutex, (u32, Asked), 1> = Channel::new();
-/// Its answer.
+/// Its answer, and that it is there.
 static TOLD: Channel<CriticalSectionRawMutex, Option<Told>, 1> = Channel::new();
+static ANSWERED: AtomicBool = AtomicBool::new(false);
 /// What the interpreter has to know: as many as the node keeps.
 static WORDS: Channel<CriticalSectionRawMutex, ToInterpreter, 2> = Channel::new();
 /// The run whose wait is over; 0: none.
@@ -57,12 +58,12 @@ impl Mail for Board {
         let _ = ASKED.try_send((run, asked));
         WAKE.signal(());
         // The planning task answers within a turn; if it hangs, its watchdog ends this too.
-        loop {
-            if let Ok(told) = TOLD.try_receive() {
-                return told;
-            }
+        // On a word of its own: taking the channel's lock again and again would hold the other core up.
+        while !ANSWERED.load(Ordering::Acquire) {
             core::hint::spin_loop();
         }
+        ANSWERED.store(false, Ordering::Relaxed);
+        TOLD.try_receive().ok().flatten()
     }
 
     fn due(&mut self) -> u32 {
@@ -99,6 +100,7 @@ pub(crate) fn exchange<O: Outputs>(node: &mut Node<'static, RmtBackend, O>) {
         let told = node.answer_script(now(), run, asked);
         // There is room: the answer before was taken.
         let _ = TOLD.try_send(told);
+        ANSWERED.store(true, Ordering::Release);
     }
     let mut turn = false;
     while !WORDS.is_full() {
