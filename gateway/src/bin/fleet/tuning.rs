@@ -197,14 +197,13 @@ pub(crate) fn lines(tuning: &Tuning) -> Vec<(&'static str, String)> {
         let words = format!("{place}={}/{}", filter.active_us, filter.inactive_us);
         lines.push(("filter", words));
     }
-    let scale = |steps_per_m| in_thousandths(steps_per_m);
     if let Some(c) = &tuning.c {
         let places = c.places.iter().map(|(at_um, speed)| {
             let at = in_thousandths(u32::try_from(*at_um).unwrap_or_default());
             format!("{at}@{}", in_thousandths(*speed))
         });
         let places: Vec<String> = places.collect();
-        let words = format!("{}:{}", scale(c.steps_per_m), places.join(","));
+        let words = format!("{}:{}", in_thousandths(c.steps_per_m), places.join(","));
         lines.push(("C places", words));
     }
     if let Some(d) = &tuning.d {
@@ -214,7 +213,7 @@ pub(crate) fn lines(tuning: &Tuning) -> Vec<(&'static str, String)> {
         );
         lines.push((
             "D way",
-            format!("{}:{travel}@{speed}", scale(d.steps_per_m)),
+            format!("{}:{travel}@{speed}", in_thousandths(d.steps_per_m)),
         ));
     }
     lines
