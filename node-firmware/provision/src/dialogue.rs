@@ -35,10 +35,6 @@ pub enum Request {
 }
 
 /// What the node answers. Appended to, never changed.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one is alive at a time, and there is no heap here"
-)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reply {
     /// The answer to [`Request::Hello`].
