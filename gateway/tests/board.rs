@@ -156,6 +156,10 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
         path(&secret),
         "--router",
         &gateway.connect,
+        "--switch",
+        "0:min=nc,home",
+        "--homing",
+        "0:pull-off=50",
         "--restart",
     ];
     let Ran { code, out, err } = fleet(&[&["provision", board.port()], &told[..]].concat());
@@ -163,8 +167,10 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     assert!(!out.contains(SECRET) && !err.contains(SECRET));
     wait_for("left", true);
     let job = file("job.json");
-    let text = r#"{"commands":[{"move":{"axis":0,"delay_us":100,"steps":500}}]}"#;
-    std::fs::write(&job, text).expect("written");
+    // Only the machine that it was told can do that.
+    let home = r#"{"home":{"axis":0}}"#;
+    let go = r#"{"move":{"axis":0,"delay_us":100,"steps":500}}"#;
+    std::fs::write(&job, format!(r#"{{"commands":[{home},{go}]}}"#)).expect("written");
     let play = || {
         let line = ["submit", path(&job), "--node", "left", "--wait"];
         let Ran { code, err, .. } = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
@@ -179,6 +185,9 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
     wait_for("left", true);
     play();
+    let of_left = |node: &serde_json::Value| node["node"] == "left";
+    let left = nodes().0.into_iter().find(of_left).expect("it is known");
+    assert_eq!(left["position"][0], 550, "homed, and 50 off its switch");
     let Ran { code, out, err } = fleet(&["provision", board.port(), "--json"]);
     assert_eq!(code, Some(0), "{err}");
     let said: serde_json::Value = serde_json::from_str(&out).expect("JSON");

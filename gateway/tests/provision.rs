@@ -297,3 +297,57 @@ fn what_is_connected_to_a_node_is_told_and_shown_and_forgotten() {
     let (record, _) = board.end();
     assert_eq!(record.machine, provision::Machine::default());
 }
+
+#[test]
+fn how_a_machine_moves_is_told_and_shown_as_it_was_given_and_refused_with_words() {
+    let board = Board::new(false);
+    let (code, out, err) = board.fleet(&["--name", "left", "--wifi", "shop"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.ends_with("lidar       no\n"), "nothing differs: {out}");
+    let told = [
+        "--homing",
+        "1:seek=800,approach=100",
+        "--soft-limits",
+        "0:-100..20000",
+        "--filter",
+        "0:min=100/9000",
+        "--c-places",
+        "160:0@10,1@20,2@20,3.5@20,40@10",
+        "--d-way",
+        "80:5@2.5",
+    ];
+    let (code, out, err) = board.fleet(&told);
+    assert_eq!(code, Some(0), "{err}");
+    let lines = "homing      1:seek=800,approach=100,accel=50000,travel=200000,pull-off=200
+soft limits 0:-100..20000
+filter      0:min=100/9000
+C places    160:0@10,1@20,2@20,3.5@20,40@10
+D way       80:5@2.5
+";
+    assert!(out.ends_with(lines), "{out}");
+    for (option, wrong, words) in [
+        ("--homing", "0:seek=100,approach=500", "approach no faster"),
+        ("--homing", "9:seek=100,approach=50", "Homing"),
+        ("--soft-limits", "0:5..5", "nothing between"),
+        ("--filter", "c:home=1/1", "Filter"),
+        ("--filter", "0:min=1/999999", "too long"),
+        (
+            "--c-places",
+            "80:0@10,1@20,1@20,3@20,4@10",
+            "above the one before",
+        ),
+        ("--d-way", "80:0@1", "Way of D"),
+    ] {
+        let (code, _, err) = board.fleet(&[option, wrong]);
+        assert_eq!(code, Some(1), "{wrong}");
+        assert!(err.contains(words), "{err}");
+    }
+    let (code, _, err) = board.fleet(&["--d-way", "80"]);
+    assert_eq!(code, Some(2), "{err}");
+    let (_, out, _) = board.fleet(&[]);
+    assert!(out.ends_with(lines), "nothing was changed: {out}");
+    let (_, out, _) = board.fleet(&["--no-tuning"]);
+    assert!(out.ends_with("lidar       no\n"), "{out}");
+    let (record, _) = board.end();
+    assert_eq!(record.tuning, provision::Tuning::default());
+}

@@ -139,8 +139,9 @@ fn main() {
         .file("csrc/sandbox.c")
         // Integers and floats of 32 bits: what the chip's unit computes, the same on every node.
         .define("LUNKA_32BITS", "1")
-        // Levels of C calls, for a small stack: a level takes a few hundred bytes.
-        .define("LUAI_MAXCCALLS", "100")
+        // Levels of C calls, for a small stack: a level takes up to some 650 bytes, and the first core of
+        // an ESP32-S3 has 24 KiB for them.
+        .define("LUAI_MAXCCALLS", "32")
         .define("MAXCCALLS", "60")
         // The order of pairs and of a sort depends on nothing but the script.
         .define("luai_makeseed(L)", "0x5eedu")

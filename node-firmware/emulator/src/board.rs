@@ -7,11 +7,12 @@
 //!                              none, or not whole ────▶ no node: nothing moves; the line says how
 //! ```
 //!
-//! The dialogue, the record and its two copies are the board's own code. A pseudo-terminal stands
-//! for the cable; WiFi networks are kept and not used.
+//! The dialogue, the record, its two copies and what follows from it for motion are the board's own
+//! code. A pseudo-terminal stands for the cable, `bed.rs` for the machine that the switches are on; WiFi
+//! networks are kept and not used.
 
 use crate::{
-    EmulatedHandle, EmulatorConfig,
+    EmulatedHandle, EmulatorConfig, bed,
     config::Credentials,
     emulated::EmulatedNode,
     firmware::BootLoader,
@@ -20,7 +21,7 @@ use crate::{
     wall::{self, SpawnError},
 };
 use keys::Keys;
-use motion::{AxisProfile, limits::CHANNELS};
+use motion::limits::CHANNELS;
 use provision::{Dialogue, Record, Store, dialogue::PROMPT, frame::FRAME_BYTES_MAX};
 use serialport::{SerialPort, TTYPort};
 use std::{
@@ -240,10 +241,9 @@ fn config_of(
         user: login.user.as_str().to_owned(),
         password: login.password.as_str().to_owned(),
     });
-    for (to, from) in config.motion.axes.iter_mut().zip(&record.axes) {
-        *to = AxisProfile::from(*from);
-    }
     config.axis_count = config.axis_count.max(record.axes.len()).min(CHANNELS);
+    config.motion = provision::kit::motion_of(record, config.axis_count);
+    config.machine.switches = bed::switches(&config.motion, base);
     config.check().map_err(SpawnError::Motion)?;
     Ok(config)
 }
@@ -252,5 +252,131 @@ impl EmulatedHandle {
     /// Returns a look at whether the node moves, for whoever wants to write its flash.
     fn watch_motion(&self) -> impl Fn() -> bool + Send + use<> {
         self.look(|node: &EmulatedNode| node.node().motion().is_active())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Recording, oracle};
+    use keys::{
+        AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic,
+        batch::{BatchWriter, ORDER_BYTES_MAX},
+    };
+    use motion::{Direction, io::input::Switch};
+    use provision::machine::{End, SwitchOf, SwitchSettings};
+
+    fn record() -> Record {
+        let mut record = Record {
+            name: NodeId::new("left").ok(),
+            ..Record::default()
+        };
+        let told = [
+            (SwitchOf::Axis(0), End::Min, true, true),
+            (SwitchOf::Axis(1), End::Home, false, true),
+            (SwitchOf::Axis(1), End::Max, true, false),
+            (SwitchOf::C, End::Min, true, false),
+            (SwitchOf::D, End::Max, true, false),
+            (SwitchOf::Probe, End::Min, false, false),
+        ];
+        for (of, end, normally_closed, homes) in told {
+            let switch = SwitchSettings {
+                of,
+                end,
+                normally_closed,
+                homes,
+            };
+            assert!(record.machine.add(switch));
+        }
+        (record.machine.has_cd, record.machine.has_lidar) = (true, true);
+        record
+    }
+
+    fn base() -> EmulatorConfig {
+        let mut base = EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
+        base.record = Recording::Edges { max: 1_000_000 };
+        base
+    }
+
+    fn play(config: EmulatorConfig, commands: &[Command]) -> EmulatedNode {
+        let mut node = EmulatedNode::new(config, 7);
+        node.link(true, LocalMicros(0));
+        let mut writer = BatchWriter::new();
+        assert!(commands.iter().all(|command| writer.push(command)));
+        let header = BatchHeader {
+            queue: node.status().queue,
+            first_command: 0,
+            command_count: 0,
+            job: JobId::new("j").expect("legal"),
+            job_end: commands.len() as u64,
+        };
+        let mut buffer = [0; ORDER_BYTES_MAX];
+        let bytes = writer.finish(header, &mut buffer).expect("room");
+        node.handle(NodeTopic::Batch, bytes, LocalMicros(0));
+        let mut now = LocalMicros(0);
+        while node.status().executed_commands < commands.len() as u64 {
+            assert!(now.0 < 60_000_000, "{:?}", node.status());
+            now = node.poll_timeout().unwrap_or(now).max(now.plus_us(1));
+            node.poll(now);
+            let _ = node.outbox(now);
+        }
+        node
+    }
+
+    #[test]
+    fn what_a_record_tells_is_the_machine_that_moves() {
+        let flash = Flash::blank();
+        let config = config_of(&record(), &flash, &base()).expect("a machine");
+        let commands = [
+            Command::Home { axis: AxisId(0) },
+            Command::Home { axis: AxisId(1) },
+            Command::MoveC { index: 2 },
+            Command::MoveD { on: true },
+            Command::LidarRead,
+        ];
+        let node = play(config, &commands);
+        let status = node.status();
+        assert_eq!(status.faults.as_slice(), []);
+        // Pulled off the switch, which is where the bed has it.
+        assert_eq!(status.axes[0].position_steps, 200);
+        assert!((node.place_steps(AxisId(0)) + 800).abs() <= 10);
+        assert_eq!(node.carriage_steps(crate::pins::CARRIAGE_C), 4_000);
+        assert!(status.lidar_mm.is_some());
+        oracle::check_life(&node.life()).expect("good pulses");
+    }
+
+    #[test]
+    fn an_option_says_where_a_switch_is_and_the_record_whether_it_is_looked_at() {
+        let mut base = base();
+        for (axis, at_steps) in [(0, -300), (1, -10)] {
+            base.add_switch(AxisId(axis), Switch::Min, at_steps)
+                .expect("room");
+        }
+        let config = config_of(&record(), &Flash::blank(), &base).expect("a machine");
+        let home = config.motion.homes[0].expect("it is homed");
+        assert_eq!(
+            (home.switch, home.direction),
+            (Switch::Min, Direction::Negative)
+        );
+        let back = Command::Move {
+            axis: AxisId(1),
+            delay_us: 100,
+            steps: -400,
+        };
+        let node = play(config, &[Command::Home { axis: AxisId(0) }, back]);
+        assert!((node.place_steps(AxisId(0)) + 100).abs() <= 10);
+        assert_eq!(
+            node.place_steps(AxisId(1)),
+            -400,
+            "nobody looks at that one"
+        );
+        assert_eq!(node.status().faults.as_slice(), []);
+    }
+
+    #[test]
+    fn a_board_of_which_nothing_was_told_has_no_machine() {
+        let config = config_of(&Record::default(), &Flash::blank(), &base()).expect("legal");
+        assert!(config.machine.switches.is_empty());
+        assert_eq!(config.motion, base().motion_config());
     }
 }

@@ -1,7 +1,8 @@
 //! Every setting of an emulated node, with unit and default.
 
-use crate::flash::Flash;
 use crate::{
+    bed,
+    flash::Flash,
     machine::{MachineConfig, MachineSwitch},
     pins::{CARRIAGE_C, CARRIAGE_D},
     pulse::RmtConfig,
@@ -14,7 +15,6 @@ use motion::{
     io::{
         home::HomeConfig,
         input::{Filter, INPUTS_MAX, InputConfig, InputMap, MapError, Role, Switch},
-        named::POSITIONS_C,
     },
     limits::CHANNELS,
 };
@@ -68,6 +68,9 @@ pub struct EmulatorConfig {
     pub record: Recording,
     /// What a script may take.
     pub script: script::Limits,
+    /// Scripts are interpreted by whoever has the node, as on a board with two cores; by default by the
+    /// node itself.
+    pub scripts_elsewhere: bool,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
     /// Folder of its stored scripts; by default in its flash, or in memory if it has none. Wall clock
@@ -109,6 +112,7 @@ impl EmulatorConfig {
             seed: 0,
             record: Recording::default(),
             script: script::Limits::default(),
+            scripts_elsewhere: false,
             boot_script: false,
             scripts: None,
             signers: node::signed::Keys::new(),
@@ -156,12 +160,7 @@ impl EmulatorConfig {
     /// There is no room for so many inputs.
     pub fn add_cd(&mut self, c_margin_steps: i64) -> Result<(), MapError> {
         let cd = ConfigCd::default();
-        let steps = |um: i64, per_m: u32| um * i64::from(per_m) / 1_000_000;
-        let c_end = steps(
-            i64::from(cd.c.positions[POSITIONS_C - 1].position_um),
-            cd.c.steps_per_m,
-        );
-        let d_end = steps(i64::from(cd.d.travel_um), cd.d.steps_per_m);
+        let [c_end, d_end] = bed::ends(&cd);
         self.motion.cd = Some(cd);
         self.add_input(Role::C(Switch::Min), CARRIAGE_C, i64::MIN..=-c_margin_steps)?;
         self.add_input(

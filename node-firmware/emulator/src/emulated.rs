@@ -5,6 +5,7 @@
 //! real clock.
 
 mod boot;
+mod letters;
 mod outputs;
 mod recorded;
 

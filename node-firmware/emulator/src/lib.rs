@@ -11,6 +11,7 @@
 //! Two doors: [`EmulatedNode`] takes bytes and times and never waits (tests, virtual time);
 //! [`spawn`] runs one on a real clock and a real socket (the program `emulator`, `fleet demo`).
 
+pub mod bed;
 #[cfg(unix)]
 pub mod board;
 pub mod capture;

@@ -5,7 +5,7 @@ use clap::{Parser, ValueEnum};
 #[cfg(unix)]
 use emulator::board::EmulatedBoard;
 use emulator::{
-    Credentials, EmulatedHandle, EmulatorConfig, Recording, capture::Capture,
+    Credentials, EmulatedHandle, EmulatorConfig, Recording, bed::CD_MARGIN_STEPS, capture::Capture,
     config::RECORDED_EDGES_MAX, flash::Flash, oracle, record::Life, scout::ScoutConfig, verdict,
     wiring::Wiring,
 };
@@ -146,10 +146,12 @@ struct Args {
     job: Option<PathBuf>,
 
     /// Emulate a whole board with its flash in this file, made blank if it is not there: name, router,
-    /// user, axes, signers and whether a boot script may run come from what `fleet provision` has told
-    /// it; stored scripts lie in it, and `fleet update` gives it other firmware.
+    /// user, axes, switches, C and D, lidar, signers and whether a boot script may run come from what
+    /// `fleet provision` has told it; stored scripts lie in it, and `fleet update` gives it other
+    /// firmware. Where its switches are is said by --limit and --home, else they are 1000 steps below and
+    /// 100000 above.
     #[arg(long, value_name = "FILE", conflicts_with_all =
-        ["name", "nodes", "connect", "prefix", "user", "vcd", "signers", "scripts", "boot_script"])]
+        ["cd", "name", "nodes", "connect", "prefix", "user", "vcd", "signers", "scripts", "boot_script"])]
     flash: Option<PathBuf>,
 
     /// Where the board's serial port is to be found: a link that is made, and removed at the end.
@@ -161,9 +163,6 @@ struct Args {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }
-
-/// The limits of C lie so far outside its positions: 0.3 mm.
-const CD_MARGIN_STEPS: i64 = 24;
 
 /// See [`LinkLoss`].
 #[derive(Clone, Copy, Debug, ValueEnum)]

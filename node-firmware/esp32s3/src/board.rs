@@ -8,11 +8,7 @@
 use esp_hal::gpio::AnyPin;
 use keys::AxisId;
 use motion::{
-    ShiftConfig,
-    io::{
-        enable::{AxisSet, EnableConfig},
-        input::{Role, Switch},
-    },
+    io::input::{Role, Switch},
     limits::CHANNEL_WORDS,
 };
 use rmt::{Layout, Place};
@@ -73,33 +69,9 @@ pub(crate) const STEP_PIN_C: u8 = 38;
 /// Step output of D.
 pub(crate) const STEP_PIN_D: u8 = 48;
 
-/// Lines of the shift register: data, clock, latch, and what comes back.
+/// Lines of the shift register: data, clock, latch, and what comes back. What its pins are for is in
+/// `provision::kit`.
 pub(crate) const SHIFT_PINS: [u8; 4] = [39, 40, 41, 42];
-
-/// Pins of one 74HC595, A to H: direction and enable of C, then of D; E to H are free. To turn X and
-/// Y by it too, name a pin for them here.
-pub(crate) const SHIFT: ShiftConfig = ShiftConfig {
-    pin_count: 8,
-    enable_pins: [None, Some(1), Some(3), None, None, None],
-    direction_pins: [None, None, None, None, Some(0), Some(2)],
-};
-
-/// The enable outputs of a board with C and D: the line of the queue's axes, on from boot on, and
-/// those of C and D behind the register.
-pub(crate) const ENABLES: [EnableConfig; 3] = [
-    EnableConfig {
-        auto: false,
-        ..EnableConfig::auto(AxisSet::QUEUE)
-    },
-    EnableConfig {
-        external: true,
-        ..EnableConfig::auto(AxisSet::C)
-    },
-    EnableConfig {
-        external: true,
-        ..EnableConfig::auto(AxisSet::D)
-    },
-];
 
 /// Where the lidar's line comes in: a TF-Luna whose pin 5 is open talks unasked. 43 and 44 are the
 /// kit's own serial bridge, which would drive against it.

@@ -5,6 +5,7 @@ use crate::{
     flash::{BootLoader, CoreFlash},
     plan::{LINK, OUTGOING, Parcel, STOP, WAKE, in_window, now},
     scripts::Shelf,
+    vitals::Gauges,
 };
 use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
 use core::{cell::RefCell, future::poll_fn, pin::pin, sync::atomic::Ordering};
@@ -14,7 +15,7 @@ use embedded_io_async::{ErrorType, Read, Write};
 use esp_hal::system::software_reset;
 use heapless::spsc::{Consumer, Producer};
 use keys::{
-    Keys, LocalMicros, NodeId, NodeTopic, Stop, StopMode,
+    Keys, LocalMicros, NodeId, NodeTopic, Stop, StopMode, Vitals,
     update::{UpdateMessage, UpdateRefusal, UpdateReply},
 };
 use node::{
@@ -40,6 +41,7 @@ struct Remote {
     incoming: Producer<'static, Parcel>,
     outgoing: Consumer<'static, Outbound>,
     shelf: Shelf,
+    gauges: Gauges,
     /// Takes other firmware; `None` if its journal is broken.
     keeper: Option<BoardKeeper>,
 }
@@ -137,6 +139,10 @@ impl Host for Remote {
 
     fn library(&self) -> &Library {
         self.shelf.library()
+    }
+
+    fn vitals(&mut self, now: LocalMicros) -> Vitals {
+        self.gauges.read(now)
     }
 }
 
@@ -266,6 +272,7 @@ pub(crate) async fn run(
     outgoing: Consumer<'static, Outbound>,
     keeper: Option<BoardKeeper>,
     shelf: Shelf,
+    gauges: Gauges,
 ) -> ! {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
@@ -283,6 +290,7 @@ pub(crate) async fn run(
             incoming,
             outgoing,
             shelf,
+            gauges,
             keeper,
         },
         link,

@@ -1,8 +1,8 @@
 //! The node on the board: takes the parts, connects them, lets them run. No decisions here.
 //!
 //! ```text
-//!   core 0: wifi.rs · link.rs (zenoh) · serial.rs · lamp.rs · lidar.rs    core 1: plan.rs (the node)
-//!              └────────────── two queues, plan.rs ──────────────────────────┘
+//!   core 0: wifi.rs · link.rs (zenoh) · lua.rs · serial.rs · lidar.rs     core 1: plan.rs (the node)
+//!              └── two queues, plan.rs; a letter at a time, lua.rs ──────────┘
 //!                                 core 1's interrupts: refill (rmt.rs), edge (inputs.rs), C (cd.rs)
 //! ```
 //!
@@ -20,6 +20,7 @@ mod inputs;
 mod lamp;
 mod lidar;
 mod link;
+mod lua;
 mod name;
 mod outputs;
 mod panic;
@@ -33,6 +34,7 @@ mod scripts;
 mod serial;
 mod shift;
 mod stop_pin;
+mod vitals;
 mod watchdog;
 mod wifi;
 
@@ -60,7 +62,7 @@ use esp_storage::FlashStorage;
 use esp_wifi::wifi::{ControllerConfig, Interface, WifiController};
 use heapless::{Vec, spsc::Queue};
 use keys::{Keys, command::COMMAND_WORDS};
-use motion::{AxisProfile, MotionConfig, PlanMemory, io::input::INPUTS_MAX};
+use motion::{MotionConfig, PlanMemory, io::input::INPUTS_MAX};
 use node::{Node, NodeConfig, Outbound};
 use provision::{Dialogue, Record, Store};
 use static_cell::{ConstStaticCell, StaticCell};
@@ -76,8 +78,9 @@ const FIRMWARE: [u8; 3] = [0, 1, 0];
 /// Without PSRAM the small ring lies in it, too.
 const HEAP_BYTES: usize = 72 * 1024;
 
-/// Stack of the second core: planning a look-ahead of lines takes some 10 KiB, Lua's C calls the
-/// rest (`.ci/image-size` prints the largest frames).
+/// Stack of the second core: the deepest way through the planner, a job that changes while it moves, takes
+/// 53 KiB by the frames of its functions, and 4 KiB lie below the guard. Lua's C calls are on the first
+/// core's stack.
 #[cfg(feature = "dual")]
 const STACK_BYTES: usize = 64 * 1024;
 
@@ -106,20 +109,7 @@ fn random_u64() -> u64 {
 
 fn node_config(record: &Record, boot: u32) -> NodeConfig {
     let name = record.name.expect("only a complete record gets here");
-    let mut axes = MotionConfig::default().axes;
-    for (to, from) in axes.iter_mut().zip(&record.axes) {
-        *to = AxisProfile::from(*from);
-    }
-    let mut motion = MotionConfig {
-        axis_count: board::AXES,
-        axes,
-        ..MotionConfig::default()
-    };
-    record.machine.tell(&mut motion);
-    if motion.cd.is_some() {
-        motion.shift = Some(board::SHIFT);
-        motion.enables = board::ENABLES.into_iter().collect();
-    }
+    let mut motion = provision::kit::motion_of(record, board::AXES);
     // Without their timers, their commands end at once, as on a node that has none.
     if !cfg!(feature = "timers") {
         motion.cd = None;
@@ -127,6 +117,8 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
     NodeConfig {
         keys: keys_of(record),
         firmware: FIRMWARE,
+        script: lua::LIMITS,
+        scripts_elsewhere: true,
         boot_script: record.boot_script,
         signers: record.signers.iter().copied().collect(),
         motion,
@@ -177,6 +169,7 @@ async fn plan_task(planning: Planning) {
 
 #[esp_rtos::main]
 async fn main(spawner: Spawner) -> ! {
+    vitals::paint_first();
     let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
     let parts = esp_hal::init(config);
     panic::pins_off();
@@ -290,10 +283,12 @@ async fn main(spawner: Spawner) -> ! {
     {
         use esp_hal::system::Stack;
         let stack = keep!(Stack<STACK_BYTES>, Stack::new());
+        vitals::paint_second(stack);
         esp_rtos::start_second_core(parts.CPU_CTRL, parts.FROM_CPU_INTR1, stack, start_planning);
     }
     #[cfg(not(feature = "dual"))]
     start_planning();
+    spawner.spawn(lua::interpret().expect("spawned once"));
     spawner.spawn(watchdog::watch(parts.TIMG1, parts.RTC_TIMER).expect("spawned once"));
 
     let wifi = WifiController::new(parts.WIFI, ControllerConfig::default())
@@ -306,6 +301,10 @@ async fn main(spawner: Spawner) -> ! {
     );
     spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));
     spawner.spawn(wifi::network(runner).expect("spawned once"));
+    #[cfg(feature = "esp32c6")]
+    let gauges = vitals::Gauges::new(parts.TSENS);
+    #[cfg(not(feature = "esp32c6"))]
+    let gauges = vitals::Gauges::new();
     let name = record.name.expect("it is provisioned");
     spawner.spawn(name::answer(stack, name).expect("spawned once"));
     let link = link::run(
@@ -318,6 +317,7 @@ async fn main(spawner: Spawner) -> ! {
         from_node,
         keeper,
         shelf,
+        gauges,
     );
     match embassy_futures::select::select(link, serial::run(port, dialogue, false)).await {
         embassy_futures::select::Either::First(never)

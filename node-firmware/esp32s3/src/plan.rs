@@ -146,6 +146,7 @@ impl Planning {
                     .handle(now(), Inbound::SignalStrength { rssi_dbm });
             }
             crate::scripts::exchange(self.node, now());
+            crate::lua::exchange(self.node);
             let reading_mm = lidar::READING_MM.swap(0, Ordering::AcqRel);
             if reading_mm > 0 {
                 self.node.handle(now(), Inbound::Lidar { mm: reading_mm });

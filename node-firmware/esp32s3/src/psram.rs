@@ -14,6 +14,21 @@ pub(crate) const RING_COMMANDS: usize = 16_384;
 /// Commands that the ring holds in internal RAM: 8 KiB. The status tells it as credit.
 pub(crate) const SMALL_RING_COMMANDS: usize = 256;
 
+/// Memory of scripts, which internal RAM is too precious for; where PSRAM is missing or full, there is
+/// none.
+#[cfg(feature = "psram")]
+pub(crate) const LUA_HEAP: node::interpreter::Heap = node::interpreter::Heap(allocate_external);
+
+/// Gives memory in PSRAM.
+///
+/// # Safety
+/// As `GlobalAlloc::alloc`.
+#[cfg(feature = "psram")]
+unsafe fn allocate_external(layout: core::alloc::Layout) -> *mut u8 {
+    // SAFETY: as promised.
+    unsafe { esp_alloc::HEAP.alloc_caps(esp_alloc::MemoryCapability::External.into(), layout) }
+}
+
 /// Makes the small ring, from the heap: a board with PSRAM spares its memory.
 fn small_ring() -> &'static [AtomicU32] {
     let words = (0..SMALL_RING_COMMANDS * COMMAND_WORDS).map(|_| AtomicU32::new(0));

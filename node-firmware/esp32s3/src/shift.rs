@@ -1,7 +1,7 @@
 //! The lines of the shift register.
 
 use crate::{
-    board::{SHIFT, SHIFT_PINS, pin},
+    board::{SHIFT_PINS, pin},
     rmt::set_pin,
 };
 use esp_hal::gpio::{Input, InputConfig, Level, Output, OutputConfig, Pull};
@@ -35,7 +35,7 @@ impl ShiftRegister {
 
     /// Lets the outputs show a word and returns what they show.
     pub(crate) fn exchange(&mut self, word: u32) -> u32 {
-        shift::exchange(self, word, usize::from(SHIFT.pin_count))
+        shift::exchange(self, word, usize::from(provision::kit::SHIFT.pin_count))
     }
 }
 

@@ -23,6 +23,7 @@
 
 extern crate alloc;
 
+pub mod interpreter;
 pub mod library;
 pub mod limits;
 pub mod outbox;
@@ -30,6 +31,7 @@ pub mod run;
 pub mod signed;
 pub mod trace;
 
+mod around;
 mod clock;
 mod inputs;
 mod intake;
@@ -46,6 +48,7 @@ pub use outbox::Outbound;
 
 use crate::{
     intake::CurrentJob,
+    interpreter::Letters,
     jog::Jogs,
     library::Library,
     limits::{LINK_LOSS_AFTER_US_DEFAULT, OUTBOUND_BYTES_MAX, PUBLICATIONS_MAX},
@@ -106,6 +109,10 @@ pub struct NodeConfig {
     pub link_loss_after_us: u64,
     /// What a script may take.
     pub script: Limits,
+    /// Scripts are interpreted on another core: whoever keeps the node has an
+    /// [`Interpreter`](interpreter::Interpreter) there, and carries the letters. Else the node does it
+    /// itself, in slices between everything else.
+    pub scripts_elsewhere: bool,
     /// Whether the stored script `boot` runs when the node starts.
     pub boot_script: bool,
     /// Public keys of operators: the node executes only what one of them has signed. None:
@@ -125,6 +132,7 @@ impl NodeConfig {
             link_loss: LinkLoss::default(),
             link_loss_after_us: LINK_LOSS_AFTER_US_DEFAULT,
             script: Limits::default(),
+            scripts_elsewhere: false,
             boot_script: false,
             signers: signed::Keys::new(),
         }
@@ -241,6 +249,8 @@ pub struct Node<'m, B: StepBackend, O: Outputs> {
     pace: Pace,
     jogs: Jogs,
     script: Slot,
+    /// What waits for the interpreter on the other core, if there is one.
+    letters: Letters,
     /// Barriers of the present script, or of the last one: their commands may wait longer than it.
     barriers: Barriers,
     /// When a script queued something last.
@@ -309,6 +319,7 @@ impl<'m, B: StepBackend, O: Outputs> Node<'m, B, O> {
             pace: Pace::new(),
             jogs: Jogs::default(),
             script: Slot::None,
+            letters: Letters::default(),
             barriers: Barriers::default(),
             script_queued_at: LocalMicros(0),
             report_due: false,

@@ -14,8 +14,10 @@
 
 use crate::{
     LinkLoss, Node, Outputs,
+    around::Around,
     intake::CurrentJob,
-    limits::{BARRIERS_MAX, PUBLICATIONS_MAX, REPORT_US, SCRIPT_QUIET_US},
+    interpreter::ToInterpreter,
+    limits::{REPORT_US, SCRIPT_QUIET_US},
     stop::Phase,
     trace::Event,
 };
@@ -25,12 +27,12 @@ use alloc::{
     vec::Vec,
 };
 use keys::{
-    AxisId, Command, JobId, LocalMicros, NodeState, QueueId, Refusal, ScriptHeader, ScriptOutcome,
-    ScriptReport, StopMode, StopReason, Verdict, command::Ramp, script::SCRIPT_BYTES_MAX,
-    signed::Proof, start::BarrierName, trace::TraceWord,
+    AxisId, Command, JobId, LocalMicros, QueueId, Refusal, ScriptHeader, ScriptOutcome,
+    ScriptReport, StopMode, StopReason, Verdict, script::SCRIPT_BYTES_MAX, signed::Proof,
+    start::BarrierName, trace::TraceWord,
 };
-use motion::{CommandError, DriveError, StepBackend, Target};
-use script::{BarrierError, End, Full, Host, LidarReading, Script, Step, Wait};
+use motion::StepBackend;
+use script::{Asked, Desk, End, Script, Step, Told, Wait};
 
 /// What a script has published and the link has not taken.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,9 +45,9 @@ pub(crate) struct Publication {
 #[derive(Debug, Default)]
 pub(crate) struct Barriers {
     /// It is a part of a synchronized job.
-    in_group: bool,
+    pub(crate) in_group: bool,
     /// Each with the number of its command, once that is in the queue.
-    named: Vec<(BarrierName, Option<u64>)>,
+    pub(crate) named: Vec<(BarrierName, Option<u64>)>,
 }
 
 /// Where the script of the queue is.
@@ -64,7 +66,7 @@ pub(crate) enum Slot {
     Running {
         first_command: u64,
         job: JobId,
-        script: Box<Script>,
+        script: Runs,
     },
     /// It has returned, and what it drives has not come to rest.
     Resting {
@@ -78,6 +80,29 @@ pub(crate) enum Slot {
         text: String,
         say_at: LocalMicros,
     },
+}
+
+/// A script that runs.
+#[derive(Debug)]
+pub(crate) enum Runs {
+    /// Beside the node, in slices between everything else.
+    Here(Box<Script>),
+    /// On another core: this is its desk, and the number by which its letters are told from those of
+    /// scripts before it.
+    There {
+        /// Never 0.
+        run: u32,
+        desk: Box<Desk>,
+    },
+}
+
+impl Runs {
+    fn wait(&self) -> Wait {
+        match self {
+            Self::Here(script) => script.wait(),
+            Self::There { desk, .. } => desk.wait(),
+        }
+    }
 }
 
 impl Slot {
@@ -186,30 +211,41 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         self.status_due = true;
         self.trace.note(now, Event::ScriptBegun);
         self.begin_job(first_command, u64::MAX, now);
-        let started = match core::str::from_utf8(&text) {
-            Ok(text) => Script::start(
-                text,
+        let text = match String::from_utf8(text) {
+            Ok(text) => text,
+            Err(error) => {
+                let valid_up_to = error.utf8_error().valid_up_to();
+                let message = alloc::format!("{job}: not UTF-8 at byte {valid_up_to}");
+                self.fail_script(first_command, job, message, now);
+                return Ok(());
+            }
+        };
+        let script = if self.config.scripts_elsewhere {
+            let run = self.letters.begin(text, job, &self.config);
+            let desk = Box::new(Desk::new(first_command + 1));
+            Runs::There { run, desk }
+        } else {
+            let started = Script::start(
+                &text,
                 job.as_str(),
                 self.config.name.as_str(),
                 first_command + 1,
                 self.config.script,
                 now,
-            ),
-            Err(error) => Err(alloc::format!(
-                "{job}: not UTF-8 at byte {}",
-                error.valid_up_to()
-            )),
-        };
-        match started {
-            Ok(script) => {
-                self.script = Slot::Running {
-                    first_command,
-                    job,
-                    script: Box::new(script),
-                };
+            );
+            match started {
+                Ok(script) => Runs::Here(Box::new(script)),
+                Err(message) => {
+                    self.fail_script(first_command, job, message, now);
+                    return Ok(());
+                }
             }
-            Err(message) => self.fail_script(first_command, job, message, now),
-        }
+        };
+        self.script = Slot::Running {
+            first_command,
+            job,
+            script,
+        };
         Ok(())
     }
 
@@ -245,10 +281,17 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         if let Slot::Resting { .. } = self.script {
             return self.rest_script(now);
         }
+        if let Slot::Running {
+            script: Runs::There { .. },
+            ..
+        } = self.script
+        {
+            return self.wake_script(now);
+        }
         let Slot::Running {
             first_command,
             job,
-            mut script,
+            script: Runs::Here(mut script),
         } = core::mem::take(&mut self.script)
         else {
             return;
@@ -257,31 +300,129 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
         match step {
             // An emergency stop took the queue with it.
             Step::Waits(_) | Step::Ended(End::Stopped) if self.phase != Phase::Open => {
-                self.log_ended(&mut script, now);
+                self.end_run(&mut Runs::Here(script), now);
             }
             Step::Waits(_) | Step::Ended(End::Stopped) => {
                 self.script = Slot::Running {
                     first_command,
                     job,
-                    script,
+                    script: Runs::Here(script),
                 };
             }
             Step::Ended(End::Returned { json }) => {
-                self.trace.note(now, Event::ScriptEnded);
-                self.tell_of_job(now, TraceWord::ScriptEnded);
-                self.end_endless_drives();
-                self.script = Slot::Resting {
-                    first_command,
-                    job,
-                    json: json.unwrap_or_default(),
-                };
-                self.rest_script(now);
+                self.return_script(first_command, job, json.unwrap_or_default(), now);
             }
             Step::Ended(End::Failed { message }) => {
                 drop(script);
                 self.fail_script(first_command, job, message, now);
             }
         }
+    }
+
+    /// Notes when what a script on another core waits for is there.
+    fn wake_script(&mut self, now: LocalMicros) {
+        let Slot::Running {
+            first_command,
+            job,
+            script: Runs::There { run, desk },
+        } = core::mem::take(&mut self.script)
+        else {
+            return;
+        };
+        if desk.wait() != Wait::Slice && desk.is_due(&Around { node: self, now }) {
+            self.letters.due = run;
+        }
+        self.script = Slot::Running {
+            first_command,
+            job,
+            script: Runs::There { run, desk },
+        };
+    }
+
+    /// Gives what the interpreter on the other core has to know, `None` if there is nothing. At most
+    /// two of them wait.
+    pub fn take_script_word(&mut self) -> Option<ToInterpreter> {
+        self.letters.pop()
+    }
+
+    /// Returns the number of the script on the other core whose wait is over; 0: none.
+    pub fn script_due(&self) -> u32 {
+        self.letters.due
+    }
+
+    /// Takes a letter of the script with this number, and answers it. `None`: it is over, whatever it
+    /// does.
+    pub fn answer_script(&mut self, now: LocalMicros, run: u32, asked: Asked) -> Option<Told> {
+        let now = self.advance_to(now);
+        self.run_motion(now);
+        let told = self.take_letter(now, run, asked);
+        self.run_motion(now);
+        self.settle(now);
+        told
+    }
+
+    fn take_letter(&mut self, now: LocalMicros, run: u32, asked: Asked) -> Option<Told> {
+        if let Asked::WasAt { reason, place } = asked {
+            self.log_ended(reason, &place, now);
+            return None;
+        }
+        if self.phase != Phase::Open
+            || !matches!(&self.script, Slot::Running { script: Runs::There { run: known, .. }, .. } if *known == run)
+        {
+            return None;
+        }
+        if let Asked::Print(line) = &asked {
+            self.log(now, format_args!("{line}"));
+            return Some(Told::HEARD);
+        }
+        let Slot::Running {
+            first_command,
+            job,
+            script: Runs::There { run, mut desk },
+        } = core::mem::take(&mut self.script)
+        else {
+            return None;
+        };
+        self.letters.due = 0;
+        match asked {
+            Asked::Call(call) => {
+                let told = desk.answer(&mut Around { node: self, now }, &call);
+                let mut script = Runs::There { run, desk };
+                if self.phase != Phase::Open {
+                    // An emergency stop took the queue with it.
+                    self.end_run(&mut script, now);
+                    return None;
+                }
+                self.script = Slot::Running {
+                    first_command,
+                    job,
+                    script,
+                };
+                return Some(told);
+            }
+            Asked::Ended(End::Returned { json }) => {
+                desk.finish(&mut Around { node: self, now });
+                self.return_script(first_command, job, json.unwrap_or_default(), now);
+            }
+            Asked::Ended(End::Failed { message }) => {
+                self.fail_script(first_command, job, message, now);
+            }
+            // Said above, or by the node itself.
+            Asked::Ended(End::Stopped) | Asked::Print(_) | Asked::WasAt { .. } => {}
+        }
+        None
+    }
+
+    fn return_script(&mut self, first_command: u64, job: JobId, json: String, now: LocalMicros) {
+        self.trace.note(now, Event::ScriptEnded);
+        self.tell_of_job(now, TraceWord::ScriptEnded);
+        self.end_endless_drives();
+        self.script = Slot::Resting {
+            first_command,
+            job,
+            json,
+        };
+        self.rest_script(now);
     }
 
     /// What runs without an end comes to rest with the script, what has a target arrives.
@@ -375,23 +516,33 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     pub(crate) fn drop_script(&mut self, now: LocalMicros) {
         self.barriers = Barriers::default();
         match core::mem::take(&mut self.script) {
-            Slot::Running { mut script, .. } => self.log_ended(&mut script, now),
+            Slot::Running { mut script, .. } => self.end_run(&mut script, now),
             ended @ Slot::Ended { .. } => self.script = ended,
             Slot::None | Slot::Arriving { .. } | Slot::Resting { .. } => {}
         }
     }
 
-    fn log_ended(&mut self, script: &mut Script, now: LocalMicros) {
+    /// Ends a script where it is. One on another core says itself where that was.
+    fn end_run(&mut self, script: &mut Runs, now: LocalMicros) {
         let reason = match self.phase {
             Phase::Stopping { reason, .. } | Phase::Latched { reason } => reason.as_str(),
             Phase::Open => "",
         };
-        let place = script.traceback("");
-        let place = place.lines().map(str::trim).find(|line| {
-            !line.is_empty() && !line.starts_with("stack") && !line.starts_with("[C]")
-        });
-        let place = place.unwrap_or("its first line");
         self.trace.note(now, Event::ScriptEnded);
+        match script {
+            Runs::Here(script) => {
+                let place = place_of(&script.traceback(""));
+                self.log_ended(reason, &place, now);
+            }
+            Runs::There { run, .. } => {
+                if !self.letters.end(*run, reason) {
+                    self.log_ended(reason, UNBEGUN, now);
+                }
+            }
+        }
+    }
+
+    fn log_ended(&mut self, reason: &str, place: &str, now: LocalMicros) {
         self.log(
             now,
             format_args!("script ended: {reason}; it was at {place}"),
@@ -413,9 +564,11 @@ impl<B: StepBackend, O: Outputs> Node<'_, B, O> {
     /// Returns when [`Node::run_script`] has something to do by the clock.
     pub(crate) fn script_timeout(&self) -> Option<LocalMicros> {
         match &self.script {
-            Slot::Running { script, .. } if self.phase == Phase::Open => {
-                Some(script.poll_timeout())
-            }
+            Slot::Running { script, .. } if self.phase == Phase::Open => match script {
+                Runs::Here(script) => Some(script.poll_timeout()),
+                // Its interpreter looks at the clock, and asks.
+                Runs::There { .. } => None,
+            },
             Slot::Ended { say_at, .. } if self.link_up() => Some(*say_at),
             _ => None,
         }
@@ -434,170 +587,16 @@ const BOOT: JobId = match JobId::new("boot") {
     Err(_) => panic!("a name"),
 };
 
+/// Where a script was of which no instruction was executed.
+const UNBEGUN: &str = "its first line";
+
+/// Returns the innermost place of the script in a traceback.
+pub(crate) fn place_of(traceback: &str) -> String {
+    let mut lines = traceback.lines().map(str::trim);
+    let place = lines
+        .find(|line| !line.is_empty() && !line.starts_with("stack") && !line.starts_with("[C]"));
+    place.unwrap_or(UNBEGUN).into()
+}
+
 /// What stands for a script in the queue.
 const MARK: Command = Command::Pause { pause_ms: 0 };
-
-/// The node as its script sees it.
-struct Around<'a, 'm, B: StepBackend, O: Outputs> {
-    node: &'a mut Node<'m, B, O>,
-    now: LocalMicros,
-}
-
-impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
-    fn now(&self) -> LocalMicros {
-        self.now
-    }
-
-    fn axis_count(&self) -> usize {
-        self.node.motion.axis_count()
-    }
-
-    fn check(&self, command: &Command) -> Result<(), CommandError> {
-        self.node.motion.check(command)
-    }
-
-    fn credit_commands(&self) -> usize {
-        self.node.motion.credit_commands()
-    }
-
-    fn barrier(&mut self, name: BarrierName) -> Result<u16, BarrierError> {
-        let barriers = &mut self.node.barriers;
-        if !barriers.in_group {
-            return Err(BarrierError::Alone);
-        }
-        let known = barriers.named.iter().position(|(known, _)| *known == name);
-        let number = known.unwrap_or(barriers.named.len());
-        if number >= BARRIERS_MAX {
-            return Err(BarrierError::Many);
-        }
-        if known.is_none() {
-            barriers.named.push((name, None));
-        }
-        Ok(number as u16)
-    }
-
-    fn push(&mut self, commands: &[Command]) {
-        let node = &mut *self.node;
-        let first = node.motion.accepted_commands();
-        node.script_queued_at = self.now;
-        for (command, number) in commands.iter().zip(first..) {
-            if let Command::Barrier { barrier } = command
-                && let Some(named) = node.barriers.named.get_mut(usize::from(*barrier))
-            {
-                named.1 = Some(number);
-            }
-        }
-        // The script never has more than the credit it was told.
-        if let Ok(mut reservation) = node.motion.reserve(commands.len()) {
-            for command in commands {
-                reservation.push(command);
-            }
-            reservation.commit();
-            node.outputs
-                .note_queued(node.queue, first, commands, self.now);
-        }
-    }
-
-    fn accepted_commands(&self) -> u64 {
-        self.node.motion.accepted_commands()
-    }
-
-    fn executed_commands(&self) -> u64 {
-        self.node.motion.executed_commands()
-    }
-
-    fn position_steps(&self, axis: AxisId) -> i64 {
-        self.node.motion.position_steps(axis)
-    }
-
-    fn speed_mhz(&self, axis: AxisId) -> i32 {
-        self.node.motion.speed_mhz(axis)
-    }
-
-    fn is_active(&self) -> bool {
-        self.node.motion.is_active()
-    }
-
-    fn state(&self) -> NodeState {
-        self.node.state()
-    }
-
-    fn hold(&mut self) {
-        self.node.hold(self.now);
-    }
-
-    fn resume(&mut self) {
-        self.node.resume(self.now);
-    }
-
-    fn set_speed_percent(&mut self, percent: u16) -> Result<(), CommandError> {
-        if self.node.change_speed(percent) {
-            Ok(())
-        } else {
-            Err(CommandError::Range)
-        }
-    }
-
-    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError> {
-        self.node.motion.drive(axis, target, ramp.into())?;
-        self.node.outputs.note_drive(axis, Some(ramp), self.now);
-        Ok(())
-    }
-
-    fn end_drive(&mut self, axis: Option<AxisId>) {
-        match axis {
-            Some(axis) => self.node.motion.end_drive_of(axis),
-            None => self.node.motion.end_drive(StopMode::Decelerate),
-        }
-    }
-
-    fn is_driven(&self, axis: AxisId) -> bool {
-        self.node.motion.is_driven(axis)
-    }
-
-    fn emergency_stop(&mut self) {
-        let now = self.now;
-        self.node
-            .begin_stop(StopReason::Client, StopMode::Halt, now);
-    }
-
-    fn laser_percent(&self) -> u8 {
-        self.node.laser_percent
-    }
-
-    fn lidar(&self) -> LidarReading {
-        LidarReading {
-            count: self.node.lidar_count,
-            mm: self.node.lidar_mm,
-        }
-    }
-
-    fn input(&self, name: &str) -> Option<bool> {
-        self.node.input_named(name)
-    }
-
-    fn print(&mut self, line: &str) {
-        let now = self.now;
-        self.node.log(now, format_args!("{line}"));
-    }
-
-    fn publish(&mut self, suffix: &str, json: &str) -> Result<(), Full> {
-        let node = &mut *self.node;
-        if node.publications.len() >= PUBLICATIONS_MAX {
-            // Without a link nobody would hear it, and a script must not wait for one.
-            return if node.link_gone_at.is_some() {
-                Ok(())
-            } else {
-                Err(Full)
-            };
-        }
-        let suffix = suffix.chars().collect();
-        let json = json.into();
-        let publication = Publication { suffix, json };
-        node.publications.push_back(publication).map_err(|_| Full)
-    }
-
-    fn stored(&self, name: &str) -> Option<&str> {
-        self.node.stored.runnable(name)
-    }
-}

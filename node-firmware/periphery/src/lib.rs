@@ -6,6 +6,7 @@
 //!   motion ──percent──▶ pwm.rs ──LEDC──▶ laser
 //!   lidar ──bytes──▶ lidar.rs ──mm──▶ motion, which waits for it
 //!   motion ──run, halt──▶ cd.rs ──MCPWM──▶ step C ──PCNT──▶ cd.rs;  ──LEDC──▶ step D
+//!   chip ──raw──▶ thermometer.rs ──°C──▶ the node's vitals
 //!   network ──question──▶ mdns.rs ──▶ the node's name and address
 //! ```
 //!
@@ -22,6 +23,7 @@ pub mod lidar;
 pub mod mdns;
 pub mod pwm;
 pub mod shift;
+pub mod thermometer;
 
 pub use cd::{CdRegisters, Timers};
 pub use inputs::{Capture, InputRegisters};

@@ -8,6 +8,7 @@ use crate::{
     machine::Machine,
     record::{NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError},
     store::{Store, StoreError},
+    tuning::Tuning,
 };
 use embedded_storage::nor_flash::NorFlash;
 use heapless::{String, Vec};
@@ -29,13 +30,11 @@ pub enum Request {
     Show,
     /// Boot again.
     Restart,
+    /// How does the machine move by itself?
+    ShowTuning,
 }
 
 /// What the node answers. Appended to, never changed.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one is alive at a time, and there is no heap here"
-)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reply {
     /// The answer to [`Request::Hello`].
@@ -58,6 +57,8 @@ pub enum Reply {
     Record(Shown),
     /// Not done.
     Refused(Refused),
+    /// The answer to [`Request::ShowTuning`].
+    Tuning(Tuning),
 }
 
 /// A record without its secrets. Fields are only appended: one that an older firmware does not tell
@@ -82,6 +83,8 @@ pub struct Shown {
     pub signers: Vec<[u8; SIGNER_SHOWN_BYTES], SIGNERS_MAX>,
     /// What is connected beside the drivers.
     pub machine: Machine,
+    /// Something was told of how it moves: see [`Request::ShowTuning`].
+    pub has_tuning: bool,
 }
 
 /// How much of an operator's key is shown.
@@ -190,6 +193,7 @@ impl<F: NorFlash> Dialogue<F> {
                 Reply::Done
             }
             Request::Show => Reply::Record(shown(&self.kept)),
+            Request::ShowTuning => Reply::Tuning(self.kept.tuning.clone()),
             Request::Restart => {
                 self.restart = may_write;
                 if may_write {
@@ -236,5 +240,6 @@ fn shown(record: &Record) -> Shown {
             .map(|key| [key[0], key[1], key[2], key[3]])
             .collect(),
         machine: record.machine.clone(),
+        has_tuning: record.tuning != Tuning::default(),
     }
 }

@@ -28,7 +28,7 @@ impl fmt::Display for HostError {
         match self {
             Self::Silent => f.write_str("no node answers on this port"),
             Self::Refused(Refused::Setting(error)) => {
-                write!(f, "the node refuses a setting: {error:?}")
+                write!(f, "the node refuses a setting: {error}")
             }
             Self::Refused(Refused::Moving) => f.write_str("the node moves: stop it first"),
             Self::Refused(Refused::Flash) => f.write_str("the node's flash did not take it"),

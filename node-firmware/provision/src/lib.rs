@@ -16,12 +16,15 @@
 pub mod dialogue;
 pub mod frame;
 pub mod host;
+pub mod kit;
 pub mod machine;
 pub mod record;
 pub mod store;
+pub mod tuning;
 
 pub use dialogue::{Dialogue, Refused, Reply, Request};
 pub use host::{Host, HostError};
 pub use machine::Machine;
 pub use record::{Record, Setting};
 pub use store::{Store, StoreError};
+pub use tuning::Tuning;

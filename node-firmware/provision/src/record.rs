@@ -3,7 +3,10 @@
 //! The fields are postcard in this order and are only ever appended: a record of an older firmware
 //! is read by a newer one, whose new fields take their defaults.
 
-use crate::machine::{Machine, SwitchSettings};
+use crate::{
+    machine::{Machine, SwitchSettings},
+    tuning::{FilterSettings, HomingSettings, PlacesC, ReachSettings, Tuning, WayD},
+};
 use heapless::{String, Vec};
 use keys::{AXES_MAX, NodeId};
 use motion::AxisProfile;
@@ -28,7 +31,7 @@ pub const USER_BYTES_MAX: usize = 32;
 pub const SIGNERS_MAX: usize = 8;
 
 /// Most bytes of a record.
-pub const RECORD_BYTES_MAX: usize = 1_280;
+pub const RECORD_BYTES_MAX: usize = 1_792;
 
 /// A WiFi network.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -137,6 +140,8 @@ pub struct Record {
     pub signers: Vec<[u8; 32], SIGNERS_MAX>,
     /// What is connected beside the drivers.
     pub machine: Machine,
+    /// How it moves by itself.
+    pub tuning: Tuning,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -181,6 +186,18 @@ pub enum Setting {
     HasCd(bool),
     /// Whether the lidar is there.
     HasLidar(bool),
+    /// How an axis is homed.
+    Homing(HomingSettings),
+    /// How far an axis may go.
+    Reach(ReachSettings),
+    /// How long a switch must hold a level.
+    Filter(FilterSettings),
+    /// The places of C; `None`: motion's defaults.
+    PlacesC(Option<PlacesC>),
+    /// The way of D; `None`: motion's default.
+    WayD(Option<WayD>),
+    /// Forgets all five.
+    NoTuning,
 }
 
 /// A setting does not fit.
@@ -202,7 +219,47 @@ pub enum SettingError {
     Signers,
     /// There can be no such switch.
     Switch,
+    /// No axis can be homed like this.
+    Homing,
+    /// There is nothing between two soft limits, or no such axis.
+    Reach,
+    /// There is no such switch, the filter is longer than motion takes, or there are too many.
+    Filter,
+    /// C's places are not in order, or too fast, or its metre has no steps.
+    PlacesC,
+    /// D has no way, no speed, or its metre no steps.
+    WayD,
 }
+
+impl core::fmt::Display for SettingError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Networks => "Networks: it knows as many as it can",
+            Self::Network => "Network: it has no name, or a password of 1 to 7 bytes",
+            Self::Axis => "Axis: there is no such axis",
+            Self::Router => "Router: it is tcp/HOST:PORT",
+            Self::Prefix => "Prefix: it is no key",
+            Self::Address => "Address: a network has 0 to 32 bits",
+            Self::Signers => "Signers: it knows as many as it can",
+            Self::Switch => "Switch: there can be no such switch",
+            Self::Homing => {
+                "Homing: speeds are 1 to 200000 Hz, the approach no faster than the seek, \
+                 acceleration and way at least 1"
+            }
+            Self::Reach => "Soft limits: there is nothing between them, or no such axis",
+            Self::Filter => {
+                "Filter: there is no such switch, the time is too long, or there are too many"
+            }
+            Self::PlacesC => {
+                "Places of C: each is at least a step above the one before, and a speed makes 1 to \
+                 200000 steps a second"
+            }
+            Self::WayD => "Way of D: it has a way, a speed and steps",
+        })
+    }
+}
+
+impl core::error::Error for SettingError {}
 
 impl Record {
     /// Applies a change.
@@ -274,6 +331,23 @@ impl Record {
             Setting::NoSwitches => self.machine.switches.clear(),
             Setting::HasCd(has) => self.machine.has_cd = has,
             Setting::HasLidar(has) => self.machine.has_lidar = has,
+            Setting::Homing(homing) => {
+                demand(self.tuning.set_homing(homing), SettingError::Homing)?;
+            }
+            Setting::Reach(reach) => demand(self.tuning.set_reach(reach), SettingError::Reach)?,
+            Setting::Filter(filter) => {
+                demand(self.tuning.set_filter(filter), SettingError::Filter)?;
+            }
+            Setting::PlacesC(places) => {
+                let legal = places.is_none_or(|places| places.is_legal());
+                demand(legal, SettingError::PlacesC)?;
+                self.tuning.c = places;
+            }
+            Setting::WayD(way) => {
+                demand(way.is_none_or(|way| way.is_legal()), SettingError::WayD)?;
+                self.tuning.d = way;
+            }
+            Setting::NoTuning => self.tuning = Tuning::default(),
         }
         Ok(())
     }
@@ -282,6 +356,10 @@ impl Record {
     pub fn is_complete(&self) -> bool {
         self.name.is_some() && !self.networks.is_empty()
     }
+}
+
+fn demand(legal: bool, error: SettingError) -> Result<(), SettingError> {
+    if legal { Ok(()) } else { Err(error) }
 }
 
 /// Returns host and port of a locator `tcp/HOST:PORT`.
@@ -410,6 +488,41 @@ mod tests {
             homes: true,
         };
         while record.machine.switches.push(switch).is_ok() {}
+        let homing = HomingSettings {
+            axis: 0xff,
+            seek_hz: u32::MAX,
+            approach_hz: u32::MAX,
+            accel_hz_per_s: u32::MAX,
+            travel_steps: u32::MAX,
+            pull_off_steps: u32::MAX,
+        };
+        while record.tuning.homing.push(homing).is_ok() {}
+        let reach = ReachSettings {
+            axis: 0xff,
+            min_steps: i32::MIN,
+            max_steps: i32::MIN,
+            from_boot: true,
+        };
+        while record.tuning.reach.push(reach).is_ok() {}
+        let filter = FilterSettings {
+            of: SwitchOf::Axis(0xff),
+            end: End::Home,
+            active_us: u32::MAX,
+            inactive_us: u32::MAX,
+        };
+        while record.tuning.filters.push(filter).is_ok() {}
+        record.tuning.c = Some(PlacesC {
+            steps_per_m: u32::MAX,
+            places: [(i32::MIN, u32::MAX); 5],
+        });
+        record.tuning.d = Some(WayD {
+            steps_per_m: u32::MAX,
+            travel_um: u32::MAX,
+            speed_um_per_s: u32::MAX,
+        });
+        // The answer to who asks for it has a frame of its own.
+        let mut answer = [0; crate::frame::FRAME_BYTES_MAX + 2];
+        crate::frame::write(&crate::Reply::Tuning(record.tuning.clone()), &mut answer);
         let mut buffer = [0; RECORD_BYTES_MAX];
         assert!(postcard::to_slice(&record, &mut buffer).is_ok());
     }

@@ -222,7 +222,7 @@ mod tests {
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
         let (older, newer) = bytes.split_at(OLDER.len());
-        assert_eq!((older, newer), (OLDER, &[0; 5][..]));
+        assert_eq!((older, newer), (OLDER, &[0; 10][..]));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //! to an editor, and a test compares the two.
 
 use crate::{
+    engine::Office,
     ffi::{Answer, Call, Calls, Function, REPLIES_MAX, Reply, Value},
     host::{Full, Host},
 };
@@ -36,6 +37,29 @@ pub enum Wait {
     },
     /// Room for another message.
     Publish,
+}
+
+impl Wait {
+    /// Returns whether it is over.
+    pub(crate) fn is_over(self, host: &dyn Host) -> bool {
+        match self {
+            Self::Slice | Self::Publish => true,
+            Self::Room => host.credit_commands() > 0,
+            Self::Until(until) => host.now() >= until,
+            Self::Idle => !host.is_active() && host.executed_commands() >= host.accepted_commands(),
+            Self::Lidar {
+                count,
+                command,
+                until,
+            } => {
+                host.lidar().count != count
+                    || match until {
+                        None => host.executed_commands() >= command,
+                        Some(until) => host.now() >= until,
+                    }
+            }
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -281,6 +305,24 @@ impl Calls for Turn<'_> {
 
     fn is_ended(&self) -> bool {
         self.doings.stopped
+    }
+}
+
+impl Office for Turn<'_> {
+    fn is_due(&mut self, wait: Wait, _: LocalMicros) -> bool {
+        wait.is_over(self.host)
+    }
+
+    fn wait(&self) -> Option<Wait> {
+        self.doings.wait
+    }
+
+    fn take_lives(&mut self) -> bool {
+        core::mem::take(&mut self.doings.lives)
+    }
+
+    fn execute(&mut self) {
+        self.doings.execute(self.host);
     }
 }
 

@@ -203,8 +203,14 @@ unsafe extern "C" {
     fn lua_checkstack(lua: *mut LuaState, count: c_int) -> c_int;
 }
 
+/// Memory of scripts that is not the program's heap: gives it as `GlobalAlloc::alloc` does, so that the
+/// global allocator takes it back.
+#[derive(Clone, Copy, Debug)]
+pub struct Heap(pub unsafe fn(Layout) -> *mut u8);
+
 /// How much memory a script has, and has taken.
 struct Memory {
+    heap: Option<Heap>,
     used_bytes: usize,
     limit_bytes: usize,
     refused_count: u32,
@@ -250,13 +256,20 @@ unsafe extern "C" fn allocate(
     let Ok(layout) = Layout::from_size_align(new, ALIGN) else {
         return ptr::null_mut();
     };
-    // SAFETY: sizes are not 0, the old block came from here.
+    // SAFETY: sizes are not 0, the old block came from here; the new one is another one.
     let block = unsafe {
-        if old == 0 {
-            alloc::alloc::alloc(layout)
-        } else {
-            let old = Layout::from_size_align_unchecked(old, ALIGN);
-            alloc::alloc::realloc(block.cast(), old, new)
+        let old_layout = Layout::from_size_align_unchecked(old, ALIGN);
+        match memory.heap {
+            None if old == 0 => alloc::alloc::alloc(layout),
+            None => alloc::alloc::realloc(block.cast(), old_layout, new),
+            Some(Heap(allocate)) => {
+                let moved = allocate(layout);
+                if old > 0 && !moved.is_null() {
+                    ptr::copy_nonoverlapping(block.cast(), moved, old.min(new));
+                    alloc::alloc::dealloc(block.cast(), old_layout);
+                }
+                moved
+            }
         }
     };
     if block.is_null() {
@@ -307,12 +320,14 @@ impl Sandbox {
     /// Opens a state; `None` when the memory is too small for it.
     pub(crate) fn new(
         memory_bytes: usize,
+        heap: Option<Heap>,
         work_max: usize,
         functions: &'static [Function],
         node_name: &str,
     ) -> Option<Self> {
         let name = CString::new(node_name).ok()?;
         let memory = NonNull::from(Box::leak(Box::new(Memory {
+            heap,
             used_bytes: 0,
             limit_bytes: memory_bytes,
             refused_count: 0,

@@ -11,6 +11,10 @@
 //! script that was tried on an emulated node does the same on the board. Read `api.rs` for what a
 //! script can call, `host.rs` for what that needs, `ffi.rs` and `csrc/sandbox.c` for the border.
 //!
+//! [`Script`] is both halves of a script on one core: the interpreter ([`Engine`]) and what it has
+//! queued. A board with two cores keeps them apart, and each call of a script is a letter from the one
+//! to the other: see `desk.rs`.
+//!
 //! # What keeps a script harmless
 //! - It runs in slices: a hook counts instructions, and work in C functions that no hook sees
 //!   (patterns, sorting, tables with lengths of their own making) is counted in them and bounded.
@@ -25,17 +29,21 @@
 extern crate alloc;
 
 mod api;
+mod desk;
+mod engine;
 mod ffi;
 mod host;
 mod json;
 
 pub use api::{NAMES, Wait};
+pub use desk::{Asked, Desk, FarCall, Post, Told};
+pub use engine::Engine;
+pub use ffi::Heap;
 pub use host::{BarrierError, Full, Host, LidarReading};
 pub use json::{JSON_BYTES_MAX, JsonError};
 
-use alloc::{format, string::String};
-use api::{Doings, FUNCTIONS, Turn};
-use ffi::{Sandbox, Stepped};
+use alloc::string::String;
+use api::{Doings, Turn};
 use keys::LocalMicros;
 
 /// Longest text of a script, bytes.
@@ -102,13 +110,8 @@ pub enum Step {
 /// A script that runs. Dropping it ends it at whatever instruction it is.
 #[derive(Debug)]
 pub struct Script {
-    sandbox: Sandbox,
+    engine: Engine,
     doings: Doings,
-    limits: Limits,
-    started_at: LocalMicros,
-    slice_at: LocalMicros,
-    slice_left: u32,
-    wait: Wait,
 }
 
 impl Script {
@@ -125,98 +128,28 @@ impl Script {
         limits: Limits,
         now: LocalMicros,
     ) -> Result<Self, String> {
-        let memory = limits.memory_bytes;
-        let opened = Sandbox::new(memory, limits.work_max, &FUNCTIONS, node_name);
-        let mut sandbox = opened.ok_or_else(|| format!("{name}: not enough memory for Lua"))?;
-        sandbox.compile(text, &format!("={name}"))?;
         Ok(Self {
-            sandbox,
+            engine: Engine::start(text, name, node_name, limits, None, now)?,
             doings: Doings::new(first_command),
-            limits,
-            started_at: now,
-            slice_at: now,
-            slice_left: limits.slice_instructions,
-            wait: Wait::Slice,
         })
     }
 
     /// Lets the script go on if what it waits for is there, for one slice at most.
     pub fn step(&mut self, host: &mut dyn Host) -> Step {
         let now = host.now();
-        if now.since_us(self.started_at) >= self.limits.wall_us {
-            let seconds = self.limits.wall_us / 1_000_000;
-            return self.end(format!("the script took longer than {seconds} s"));
-        }
-        if now >= self.slice_at.plus_us(self.limits.slice_us) {
-            self.slice_at = now;
-            self.slice_left = self.limits.slice_instructions;
-        }
-        if self.slice_left == 0 || !self.is_due(host) {
-            return Step::Waits(self.wait);
-        }
-        let mut turn = Turn {
-            doings: &mut self.doings,
-            host,
-        };
-        let stepped = self.sandbox.step(self.slice_left, &mut turn);
-        self.slice_left = self.sandbox.slice_left();
-        if self.doings.stopped {
-            return Step::Ended(End::Stopped);
-        }
-        match stepped {
-            Stepped::Yielded => {}
-            Stepped::Returned(Ok(json)) => {
-                self.doings.execute(host);
-                return Step::Ended(End::Returned { json });
-            }
-            Stepped::Returned(Err(error)) => {
-                return self.end(format!("what the script returned: {error}"));
-            }
-            Stepped::Failed(message) => return Step::Ended(End::Failed { message }),
-        }
-        if core::mem::take(&mut self.doings.lives) {
-            self.sandbox.forgive();
-        }
-        if self.sandbox.is_starving() {
-            let bytes = self.limits.memory_bytes;
-            return self.end(format!(
-                "the script asks for more than {bytes} bytes of memory"
-            ));
-        }
-        if self.sandbox.used_instructions() >= self.limits.runaway_instructions {
-            let count = self.limits.runaway_instructions;
-            return self.end(format!(
-                "runaway: {count} instructions without moving or waiting for anything"
-            ));
-        }
-        self.wait = self.doings.wait.unwrap_or(Wait::Slice);
-        Step::Waits(self.wait)
+        let doings = &mut self.doings;
+        self.engine.step(now, &mut Turn { doings, host })
     }
 
     /// Returns when [`Script::step`] has something to do by the clock; what depends on the queue or
     /// the sensors is seen when they change.
     pub fn poll_timeout(&self) -> LocalMicros {
-        let next = self.slice_at.plus_us(self.limits.slice_us);
-        let wall = self.started_at.plus_us(self.limits.wall_us);
-        let due = match self.wait {
-            Wait::Slice => next,
-            Wait::Until(until)
-            | Wait::Lidar {
-                until: Some(until), ..
-            } => until.max(next),
-            Wait::Publish => next,
-            // It may be over already, and only the slice used up.
-            Wait::Room | Wait::Idle | Wait::Lidar { until: None, .. } if self.slice_left == 0 => {
-                next
-            }
-            Wait::Room | Wait::Idle | Wait::Lidar { until: None, .. } => wall,
-        };
-        due.min(wall)
+        self.engine.poll_timeout()
     }
 
     /// Returns what it waits for.
     pub fn wait(&self) -> Wait {
-        self.wait
+        self.engine.wait()
     }
 
     /// Returns how many commands it has queued and not executed.
@@ -226,36 +159,11 @@ impl Script {
 
     /// Returns how much memory it holds, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.sandbox.memory_bytes()
+        self.engine.memory_bytes()
     }
 
     /// Returns these words with a traceback of where the script is now.
     pub fn traceback(&mut self, words: &str) -> String {
-        self.sandbox.traceback(words)
-    }
-
-    fn is_due(&self, host: &dyn Host) -> bool {
-        match self.wait {
-            Wait::Slice | Wait::Publish => true,
-            Wait::Room => host.credit_commands() > 0,
-            Wait::Until(until) => host.now() >= until,
-            Wait::Idle => !host.is_active() && host.executed_commands() >= host.accepted_commands(),
-            Wait::Lidar {
-                count,
-                command,
-                until,
-            } => {
-                host.lidar().count != count
-                    || match until {
-                        None => host.executed_commands() >= command,
-                        Some(until) => host.now() >= until,
-                    }
-            }
-        }
-    }
-
-    fn end(&mut self, words: String) -> Step {
-        let message = self.sandbox.traceback(&words);
-        Step::Ended(End::Failed { message })
+        self.engine.traceback(words)
     }
 }

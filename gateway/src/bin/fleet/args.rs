@@ -184,7 +184,7 @@ Commands; ways in steps, accel in steps/s², jerk in steps/s³:
   {\"set_position\":{\"axis\":0,\"position\":0}}  {\"barrier\":{\"name\":\"layer-2\"}}
   {\"wait_resume\":{}}       rests until `fleet resume`; not in synchronized jobs
   (1) may have \"linear_steps\" and \"jump_steps\", or \"jerk\"  (2) may have \"jerk\"
-  (3) speed goes by 3x² - 2x³ over ramp_steps, as ESP-IDF's smoothstep; start_hz < speed_hz
+  (3) speed by 3x² - 2x³ over ramp_steps, ESP-IDF's smoothstep; start < speed
 
 Examples:
   fleet submit square.json --node left --wait

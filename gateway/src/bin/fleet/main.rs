@@ -28,6 +28,7 @@ mod stop;
 mod submit;
 mod supervisor;
 mod trace;
+mod tuning;
 mod update;
 mod watch;
 mod written;

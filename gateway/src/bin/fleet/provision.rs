@@ -1,6 +1,10 @@
 //! `fleet provision`: tells a node on a serial port its name, network and router.
 
-use crate::{args::Common, link::Failure};
+use crate::{
+    args::Common,
+    link::Failure,
+    tuning::{self, TuningArgs},
+};
 use clap::{
     Arg, ArgMatches, Args, Command, FromArgMatches,
     builder::{PossibleValuesParser, TypedValueParser as _},
@@ -8,7 +12,7 @@ use clap::{
 use gateway::security::home::read_secret;
 use keys::{NodeId, credentials::Credentials};
 use provision::{
-    Host, Reply, Request, Setting,
+    Host, Reply, Request, Setting, Tuning,
     dialogue::{SIGNER_SHOWN_BYTES, Shown},
     frame::FRAME_BYTES_MAX,
     machine::{End, SwitchOf, SwitchSettings},
@@ -79,6 +83,9 @@ pub(crate) struct Provision {
     /// Forget all switches that the node was told before.
     #[arg(long)]
     no_switches: bool,
+
+    #[command(flatten)]
+    tuning: TuningArgs,
 
     /// Forget everything that the node was told before.
     #[arg(long)]
@@ -220,31 +227,36 @@ impl Provision {
         settings.extend(self.switch.iter().copied().map(Setting::Switch));
         let answers = QUESTIONS.iter().zip(self.answers.0);
         settings.extend(answers.filter_map(|(question, answer)| answer.map(question.setting)));
+        settings.extend(self.tuning.settings());
         Ok(settings)
     }
+}
+
+/// Reads whose switch it is and which: `0:min`, `d:max` or `probe`.
+pub(crate) fn place_of(place: &str) -> Option<(SwitchOf, End)> {
+    let (of, end) = match place.split_once(':') {
+        None if place == "probe" => return Some((SwitchOf::Probe, End::Min)),
+        None => return None,
+        Some(place) => place,
+    };
+    let of = match of {
+        "c" => SwitchOf::C,
+        "d" => SwitchOf::D,
+        axis => SwitchOf::Axis(axis.parse().ok()?),
+    };
+    let end = match end {
+        "min" => End::Min,
+        "max" => End::Max,
+        "home" => End::Home,
+        _ => return None,
+    };
+    Some((of, end))
 }
 
 fn switch(text: &str) -> Result<SwitchSettings, String> {
     let parse = || {
         let (place, kind) = text.split_once('=')?;
-        let (of, end) = match place.split_once(':') {
-            None if place == "probe" => (SwitchOf::Probe, End::Min),
-            Some((of, end)) => {
-                let of = match of {
-                    "c" => SwitchOf::C,
-                    "d" => SwitchOf::D,
-                    axis => SwitchOf::Axis(axis.parse().ok()?),
-                };
-                let end = match end {
-                    "min" => End::Min,
-                    "max" => End::Max,
-                    "home" => End::Home,
-                    _ => return None,
-                };
-                (of, end)
-            }
-            None => return None,
-        };
+        let (of, end) = place_of(place)?;
         let (kind, homes) = match kind.strip_suffix(",home") {
             Some(kind) => (kind, true),
             None => (kind, false),
@@ -265,18 +277,23 @@ fn switch(text: &str) -> Result<SwitchSettings, String> {
     parse().ok_or_else(|| "no OF:END=KIND like 0:min=nc,home or d:max=no or probe=no".to_owned())
 }
 
-fn named(switch: &SwitchSettings) -> String {
-    let end = match switch.end {
+/// Names a switch as [`place_of`] reads it.
+pub(crate) fn place_named(of: SwitchOf, end: End) -> String {
+    let end = match end {
         End::Min => "min",
         End::Max => "max",
         End::Home => "home",
     };
-    let place = match switch.of {
+    match of {
         SwitchOf::Axis(axis) => format!("{axis}:{end}"),
         SwitchOf::C => format!("c:{end}"),
         SwitchOf::D => format!("d:{end}"),
         SwitchOf::Probe => "probe".to_owned(),
-    };
+    }
+}
+
+fn named(switch: &SwitchSettings) -> String {
+    let place = place_named(switch.of, switch.end);
     let kind = if switch.normally_closed { "nc" } else { "no" };
     let homes = if switch.homes { ",home" } else { "" };
     format!("{place}={kind}{homes}")
@@ -344,7 +361,13 @@ fn talk(port: &Path, settings: Vec<Setting>, restart: bool, json: bool) -> Resul
     let Reply::Record(shown) = ask(&mut *port, Request::Show)? else {
         return Err(unexpected());
     };
-    show(&shown, firmware, json);
+    let mut told = Tuning::default();
+    if shown.has_tuning
+        && let Reply::Tuning(tuning) = ask(&mut *port, Request::ShowTuning)?
+    {
+        told = tuning;
+    }
+    show(&shown, &tuning::lines(&told), firmware, json);
     if restart {
         ask(&mut *port, Request::Restart)?;
     }
@@ -382,7 +405,7 @@ fn ask(port: &mut dyn SerialPort, request: Request) -> Result<Reply, Failure> {
     }
 }
 
-fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
+fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool) {
     let [major, minor, patch] = firmware;
     let networks: Vec<_> = shown
         .networks
@@ -405,6 +428,7 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
             "switches": switches,
             "cd": shown.machine.has_cd,
             "lidar": shown.machine.has_lidar,
+            "tuning": tuning,
         });
         println!("{line}");
         return;
@@ -433,6 +457,10 @@ fn show(shown: &Shown, firmware: [u8; 3], json: bool) {
     println!("switches    {}", none_or(&switches, " "));
     println!("C and D     {}", is_there(shown.machine.has_cd));
     println!("lidar       {}", is_there(shown.machine.has_lidar));
+    // As by default otherwise.
+    for (name, words) in tuning {
+        println!("{name:<11} {words}");
+    }
 }
 
 fn hex(bytes: &[u8; SIGNER_SHOWN_BYTES]) -> String {

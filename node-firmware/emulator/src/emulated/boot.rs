@@ -77,6 +77,7 @@ pub(super) fn boot_node(
         link_loss: config.link_loss,
         link_loss_after_us: config.link_loss_after_us,
         script: config.script,
+        scripts_elsewhere: config.scripts_elsewhere,
         boot_script: config.boot_script,
         firmware: config.flash.as_ref().map_or(firmware::FACTORY, |flash| {
             BootLoader::boot(flash).version(flash)

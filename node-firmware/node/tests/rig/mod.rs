@@ -13,19 +13,44 @@ use keys::{
     batch::{BatchWriter, ORDER_BYTES_MAX},
     version,
 };
-use node::library::BoxedStore;
+use node::{
+    interpreter::{Interpreter, Mail},
+    library::BoxedStore,
+};
+use script::{Asked, Told};
 
 /// The boot of every node on the bench.
 pub const BOOT: u32 = 7;
 
 pub struct Rig {
     pub node: EmulatedNode,
+    /// Where scripts are interpreted if the node does not do it itself.
+    pub interpreter: Interpreter,
     pub now: LocalMicros,
     pub sent: Vec<(LocalMicros, NodeTopic, Vec<u8>)>,
 }
 
+/// The tests whose names end in `_far` are those of another file with the interpreter on another core.
 pub fn config() -> EmulatorConfig {
-    EmulatorConfig::new(NodeId::new("left").expect("legal"))
+    let mut config = EmulatorConfig::new(NodeId::new("left").expect("legal"));
+    config.scripts_elsewhere = env!("CARGO_CRATE_NAME").ends_with("_far");
+    config
+}
+
+/// Carries letters between the cores without any delay.
+pub struct Courier<'a> {
+    pub node: &'a mut EmulatedNode,
+    pub now: LocalMicros,
+}
+
+impl Mail for Courier<'_> {
+    fn ask(&mut self, run: u32, asked: Asked) -> Option<Told> {
+        self.node.answer_script(run, asked, self.now)
+    }
+
+    fn due(&mut self) -> u32 {
+        self.node.script_due()
+    }
 }
 
 /// `steps` steps of axis 0, 100 µs apart.
@@ -76,6 +101,7 @@ impl Rig {
     fn with_node(node: EmulatedNode) -> Self {
         let mut rig = Self {
             node,
+            interpreter: Interpreter::new(),
             now: LocalMicros(0),
             sent: Vec::new(),
         };
@@ -88,17 +114,33 @@ impl Rig {
         self.drain();
     }
 
+    /// Lets the other core do what it can at this instant.
+    pub fn interpret(&mut self) {
+        let (node, now) = (&mut self.node, self.now);
+        while let Some(word) = node.take_script_word() {
+            self.interpreter
+                .handle(now, word, &mut Courier { node, now });
+        }
+        self.interpreter.step(now, &mut Courier { node, now });
+    }
+
     pub fn drain(&mut self) {
+        self.interpret();
         for message in self.node.outbox(self.now) {
             let payload = message.payload.as_slice().to_vec();
             self.sent.push((self.now, message.topic, payload));
         }
     }
 
+    fn due(&self) -> Option<LocalMicros> {
+        let due = [self.node.poll_timeout(), self.interpreter.poll_timeout()];
+        due.into_iter().flatten().min()
+    }
+
     /// Lets time pass to `at_us`, waking whenever the node asks for it.
     pub fn run_until(&mut self, at_us: u64) {
         let mut wakes_now = 0;
-        while let Some(due) = self.node.poll_timeout()
+        while let Some(due) = self.due()
             && due.0 <= at_us
         {
             wakes_now = if due > self.now { 0 } else { wakes_now + 1 };

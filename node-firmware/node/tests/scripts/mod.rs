@@ -6,7 +6,7 @@
     reason = "each test file uses another part of this one"
 )]
 
-use crate::rig::{Rig, job};
+use super::rig::{Rig, job};
 use keys::{
     NodeTopic, Order, ScriptHeader, ScriptOutcome, ScriptReport, Verdict, batch::ORDER_BYTES_MAX,
     version,
