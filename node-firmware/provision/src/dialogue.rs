@@ -82,6 +82,8 @@ pub struct Shown {
     pub signers: Vec<[u8; SIGNER_SHOWN_BYTES], SIGNERS_MAX>,
     /// What is connected beside the drivers.
     pub machine: Machine,
+    /// It was told whom to trust, and speaks TLS only.
+    pub has_authority: bool,
 }
 
 /// How much of an operator's key is shown.
@@ -98,6 +100,8 @@ pub enum Refused {
     Flash,
     /// The record has no name or no network.
     Incomplete,
+    /// A router by TLS without an authority, or an authority without a router by TLS.
+    Authority,
 }
 
 impl From<StoreError> for Refused {
@@ -206,6 +210,9 @@ impl<F: NorFlash> Dialogue<F> {
             return Err(Refused::Moving);
         }
         let collected = self.collected.as_ref().unwrap_or(&self.kept);
+        if !collected.is_consistent() {
+            return Err(Refused::Authority);
+        }
         if !collected.is_complete() {
             return Err(Refused::Incomplete);
         }
@@ -236,5 +243,6 @@ fn shown(record: &Record) -> Shown {
             .map(|key| [key[0], key[1], key[2], key[3]])
             .collect(),
         machine: record.machine.clone(),
+        has_authority: record.authority.is_some(),
     }
 }

@@ -27,8 +27,14 @@ pub const USER_BYTES_MAX: usize = 32;
 /// Most keys of operators that a node knows.
 pub const SIGNERS_MAX: usize = 8;
 
+/// Longest name of an authority, bytes of DER.
+pub const AUTHORITY_SUBJECT_BYTES_MAX: usize = 128;
+
+/// Longest key of an authority, bytes of DER.
+pub const AUTHORITY_KEY_BYTES_MAX: usize = 96;
+
 /// Most bytes of a record.
-pub const RECORD_BYTES_MAX: usize = 1_280;
+pub const RECORD_BYTES_MAX: usize = 1_536;
 
 /// A WiFi network.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -46,6 +52,15 @@ pub struct Login {
     pub user: String<USER_BYTES_MAX>,
     /// Password.
     pub password: String<PASSWORD_BYTES_MAX>,
+}
+
+/// Who must have signed the router's certificate: what counts of an authority's own one.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Authority {
+    /// Its name, DER without the outer tag.
+    pub subject: Vec<u8, AUTHORITY_SUBJECT_BYTES_MAX>,
+    /// Its public key, DER of SubjectPublicKeyInfo without the outer tag.
+    pub key: Vec<u8, AUTHORITY_KEY_BYTES_MAX>,
 }
 
 /// An address instead of DHCP.
@@ -122,7 +137,7 @@ pub struct Record {
     pub networks: Vec<Network, NETWORKS_MAX>,
     /// Address instead of DHCP.
     pub fixed_address: Option<FixedAddress>,
-    /// Where the router is, `tcp/HOST:PORT`; empty: it is found by scouting.
+    /// Where the router is, `tcp/HOST:PORT` or `tls/HOST:PORT`; empty: it is found by scouting.
     pub router: String<ROUTER_BYTES_MAX>,
     /// What the router wants to know.
     pub login: Option<Login>,
@@ -137,6 +152,9 @@ pub struct Record {
     pub signers: Vec<[u8; 32], SIGNERS_MAX>,
     /// What is connected beside the drivers.
     pub machine: Machine,
+    /// Who must have signed the router's certificate; with one the node speaks TLS only, without one
+    /// it does not.
+    pub authority: Option<Authority>,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -181,6 +199,8 @@ pub enum Setting {
     HasCd(bool),
     /// Whether the lidar is there.
     HasLidar(bool),
+    /// Who must have signed the router's certificate; `None`: no TLS.
+    Authority(Option<Authority>),
 }
 
 /// A setting does not fit.
@@ -192,7 +212,7 @@ pub enum SettingError {
     Network,
     /// No axis of this number.
     Axis,
-    /// Not of the form `tcp/HOST:PORT`.
+    /// Not of the form `tcp/HOST:PORT` or `tls/HOST:PORT`.
     Router,
     /// The prefix is no key.
     Prefix,
@@ -202,6 +222,8 @@ pub enum SettingError {
     Signers,
     /// There can be no such switch.
     Switch,
+    /// The authority has no name or no key.
+    Authority,
 }
 
 impl Record {
@@ -274,21 +296,40 @@ impl Record {
             Setting::NoSwitches => self.machine.switches.clear(),
             Setting::HasCd(has) => self.machine.has_cd = has,
             Setting::HasLidar(has) => self.machine.has_lidar = has,
+            Setting::Authority(authority) => {
+                let is_empty = |of: &Authority| of.subject.is_empty() || of.key.is_empty();
+                if authority.as_ref().is_some_and(is_empty) {
+                    return Err(SettingError::Authority);
+                }
+                self.authority = authority;
+            }
         }
         Ok(())
     }
 
     /// Returns whether the node can take part in a fleet.
     pub fn is_complete(&self) -> bool {
-        self.name.is_some() && !self.networks.is_empty()
+        self.name.is_some() && !self.networks.is_empty() && self.is_consistent()
+    }
+
+    /// Returns whether router and authority go together: TLS needs somebody to trust, and a node that
+    /// was told whom to trust does not speak in the open, wherever its router's address came from.
+    pub fn is_consistent(&self) -> bool {
+        self.authority.is_some() == wants_tls(&self.router)
     }
 }
 
-/// Returns host and port of a locator `tcp/HOST:PORT`.
+/// Returns host and port of a locator `tcp/HOST:PORT` or `tls/HOST:PORT`.
 pub fn router_address(locator: &str) -> Option<(&str, u16)> {
-    let (host, port) = locator.strip_prefix("tcp/")?.rsplit_once(':')?;
+    let (protocol, address) = locator.split_once('/')?;
+    let (host, port) = address.rsplit_once(':')?;
     let port = port.parse().ok().filter(|port| *port != 0)?;
-    (!host.is_empty()).then_some((host, port))
+    (!host.is_empty() && matches!(protocol, "tcp" | "tls")).then_some((host, port))
+}
+
+/// Returns whether a locator asks for TLS.
+pub fn wants_tls(locator: &str) -> bool {
+    locator.starts_with("tls/")
 }
 
 #[cfg(test)]
@@ -358,6 +399,38 @@ mod tests {
     }
 
     #[test]
+    fn a_router_by_tls_and_an_authority_need_each_other() {
+        let mut record = Record {
+            name: Some(NodeId::new("left").expect("legal")),
+            ..Record::default()
+        };
+        let network = Network {
+            ssid: text("shop"),
+            ..Network::default()
+        };
+        record.apply(Setting::Network(network)).expect("fits");
+        assert!(record.is_complete());
+        let authority = Authority {
+            subject: Vec::from_slice(b"s").expect("short"),
+            key: Vec::from_slice(b"k").expect("short"),
+        };
+        for (router, told, is_complete) in [
+            ("tls/plant:7447", false, false),
+            ("tls/plant:7447", true, true),
+            ("tcp/plant:7448", true, false),
+            ("", true, false),
+            ("tcp/plant:7448", false, true),
+        ] {
+            record.apply(Setting::Router(text(router))).expect("legal");
+            let authority = told.then(|| authority.clone());
+            record.apply(Setting::Authority(authority)).expect("legal");
+            assert_eq!(record.is_complete(), is_complete, "{router} {told}");
+        }
+        let nobody = Setting::Authority(Some(Authority::default()));
+        assert_eq!(record.apply(nobody), Err(SettingError::Authority));
+    }
+
+    #[test]
     fn the_largest_record_fits() {
         let mut record = Record {
             name: Some(NodeId::new("n".repeat_32().as_str()).expect("legal")),
@@ -410,6 +483,10 @@ mod tests {
             homes: true,
         };
         while record.machine.switches.push(switch).is_ok() {}
+        let mut authority = Authority::default();
+        while authority.subject.push(0xff).is_ok() {}
+        while authority.key.push(0xff).is_ok() {}
+        record.authority = Some(authority);
         let mut buffer = [0; RECORD_BYTES_MAX];
         assert!(postcard::to_slice(&record, &mut buffer).is_ok());
     }
