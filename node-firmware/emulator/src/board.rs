@@ -240,6 +240,13 @@ fn config_of(
         user: login.user.as_str().to_owned(),
         password: login.password.as_str().to_owned(),
     });
+    config.authority = match &record.authority {
+        None => None,
+        Some(kept) => {
+            let authority = tls::Authority::from_parts(&kept.subject, &kept.key);
+            Some(authority.map_err(SpawnError::Authority)?)
+        }
+    };
     for (to, from) in config.motion.axes.iter_mut().zip(&record.axes) {
         *to = AxisProfile::from(*from);
     }
