@@ -15,6 +15,10 @@ use keys::NodeId;
 use serde::{Deserialize, Serialize};
 
 /// What the other side asks. Appended to, never changed.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one is alive at a time, and there is no heap here"
+)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Request {
     /// Who is there?
