@@ -510,6 +510,9 @@ mod tests {
         assert!(error(&["--home", "0:low@3"]).contains("AXIS:SWITCH@STEPS"));
         assert!(error(&["--home", "2:min@3"]).contains("there is no axis 2"));
         assert!(error(&["--user", "u"]).contains("--password-file"));
+        assert!(error(&["--ca", "/no/such.pem"]).contains("--ca /no/such.pem"));
+        assert!(error(&["--ca", "Cargo.toml"]).contains("no certificate in it"));
+        assert!(error(&["--ca", "a.pem", "--scout"]).contains("--scout"));
     }
 
     #[test]
