@@ -222,6 +222,64 @@ fn a_boot_script_is_allowed_and_forbidden_and_signers_are_told_by_their_list() {
 }
 
 #[test]
+fn whom_to_trust_is_told_with_a_router_by_tls_and_not_without() {
+    let board = Board::new(false);
+    let files = tempfile::tempdir().expect("a folder");
+    let home = gateway::security::Home::init(&files.path().join("home"), &[]).expect("made");
+    let ca = files.path().join("home/ca.pem");
+    let ca = ca.to_str().expect("a path");
+    let (code, _, err) = board.fleet(&[
+        "--name",
+        "left",
+        "--wifi",
+        "shop",
+        "--router",
+        "tls/plant:7447",
+    ]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("needs an authority to trust (--ca)"), "{err}");
+    let (code, _, err) = board.fleet(&[
+        "--ca",
+        files.path().join("no.pem").to_str().expect("a path"),
+    ]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("--ca"), "{err}");
+    let key = files.path().join("home/ca.key");
+    let (code, _, err) = board.fleet(&["--ca", key.to_str().expect("a path")]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("no certificate in it"), "{err}");
+    let all = [
+        "--name",
+        "left",
+        "--wifi",
+        "shop",
+        "--router",
+        "tls/plant:7447",
+        "--ca",
+        ca,
+        "--json",
+    ];
+    let (code, out, err) = board.fleet(&all);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    let shown: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(shown["tls"], true);
+    // Back to plain TCP: both have to be said.
+    let (code, _, err) = board.fleet(&["--router", "tcp/plant:7448"]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("needs an authority"), "{err}");
+    let (code, out, _) = board.fleet(&["--router", "tcp/plant:7448", "--no-ca"]);
+    assert_eq!(code, Some(0));
+    assert!(out.contains("tls         no: plain TCP"), "{out}");
+    board.fleet(&all);
+    let (record, _) = board.end();
+    let kept = record.authority.expect("told");
+    let pem = home.gateway().ca.expect("it has one");
+    let authority = tls::Authority::from_pem(pem.as_bytes()).expect("an authority");
+    let again = tls::Authority::from_parts(&kept.subject, &kept.key);
+    assert_eq!(again, Ok(authority));
+}
+
+#[test]
 fn refusals_have_words_and_change_nothing() {
     let board = Board::new(false);
     let (code, _, err) = board.fleet(&["--name", "left"]);

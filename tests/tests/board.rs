@@ -19,6 +19,7 @@ firmware    0.1.0
 name        none
 networks
 router
+tls         no: plain TCP
 login       none
 update key  none
 boot script no
@@ -31,6 +32,7 @@ firmware    0.1.0
 name        left
 networks    shop
 router      ROUTER
+tls         no: plain TCP
 login       none
 update key  none
 boot script allowed

@@ -90,7 +90,7 @@ fn run(target: &Target) {
         let (name, number) = text.split_once(':').expect("TARGET:NUMBER");
         (name.to_owned(), number.parse::<u64>().expect("a number"))
     });
-    let slow = ["node", "script", "update", "provision", "store"].contains(&target.name);
+    let slow = ["node", "script", "tls", "update", "provision", "store"].contains(&target.name);
     let cases = std::env::var("FUZZ_CASES")
         .ok()
         .map(|text| text.parse().expect("a number"));
@@ -129,6 +129,7 @@ seeded! {
     no_message_makes_an_unsigned_image_boot: "update",
     a_node_that_is_told_anything_keeps_its_position: "node",
     scripts_end_or_give_way: "script",
+    a_router_proves_who_it_is_or_is_not_heard: "tls",
 }
 
 #[test]

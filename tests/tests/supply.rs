@@ -55,11 +55,15 @@ const UNSAFE: [(&str, &str); 10] = [
 ];
 
 /// Crates that we name ourselves and that come in two versions all the same.
-const TWICE: [(&str, &str); 3] = [
+const TWICE: [(&str, &str); 4] = [
     ("base64", "0.23 is below rcgen; zenoh has 0.22"),
     (
         "getrandom",
         "zenoh-keyexpr has 0.2; newer crates have newer ones",
+    ),
+    (
+        "hmac",
+        "zenoh's password answer has the MAC for sha3 0.10; TLS of a node the one for sha2 0.11",
     ),
     ("thiserror", "the window's toolkit for Wayland has 1"),
 ];

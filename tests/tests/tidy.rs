@@ -90,6 +90,7 @@ fn every_dependency_has_its_line_and_its_reason_in_the_workspace_table() {
         "rmt",
         "periphery",
         "provision",
+        "tls",
         "update",
         "emulator",
     ] {

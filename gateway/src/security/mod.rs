@@ -21,7 +21,7 @@
 //!
 //! | who attacks | what stands in the way | test | what is left |
 //! |---|---|---|---|
-//! | somebody in the network, without a password | an unsecured gateway listens on its own machine only and says so; a secured one lets in by password, people by TLS with the fleet's own authority | `nobody_gets_in_without_the_right_password…`, `a_person_who_comes_without_tls…` | can open connections until the system has no more; can listen to and change what nodes say and hear over plain TCP, see below |
+//! | somebody in the network, without a password | an unsecured gateway listens on its own machine only and says so; a secured one lets in by password, people by TLS with the fleet's own authority | `nobody_gets_in_without_the_right_password…`, `a_person_who_comes_without_tls…` | can open connections until the system has no more; can listen to and change what nodes say and hear over plain TCP, unless they speak TLS, see below |
 //! | a viewer | rules of the router: may look on and stop | `a_viewer_looks_on_and_stops…` | can stop everything all the time: a stop is never refused |
 //! | a node that was taken over | rules by the name under which it authenticated: its own keys only | `a_node_cannot_speak_as_another…` | can lie about itself; can be heard 2,000 times a second ([`limits`](crate::bus::limits)) |
 //! | an operator's client that runs wild | bounds by link on requests, bytes and open gets; a job's size; jobs for one node | `a_client_that_floods…`, `a_job_that_is_too_large…`, `no_list_grows_without_bound`, `refused_jobs_do_not_push_out…` | behind a router of others all its clients count as one; a stop is not counted |
@@ -38,21 +38,19 @@
 //! the instants at which it passes them are not. Within one life of a node a key's number
 //! is used once; of each key the last 16 are remembered and older ones refused.
 //!
-//! **TLS on a node** is not built in; a node proves itself by a password that is never sent, and what
-//! it says by plain TCP can be read and changed on the way, except that a signed job cannot be
-//! changed. What was tried, on a PC against this router: `embedded-tls` 0.19 (TLS 1.3, Rust, no
-//! allocator, over the byte streams that the node's client uses) opens a session with the fleet's own
-//! authority as the only one that is trusted, in 12 to 16 ms, and refuses another authority and
-//! another name. It takes 1.3 KiB and 1.5 KiB for the verifier, 16.3 KiB for the longest record that
-//! a router may send, 4 KiB for writing, 3.9 KiB for the handshake's future, and about 114 KiB of code
-//! (x86-64, optimized for size, by symbols): a board with PSRAM has that. What stands in the way is
-//! the shape: a read that is dropped after the five bytes of a record's header has lost them, while
-//! the driver drops reads all the time; its halves borrow from the connection, while the driver owns
-//! both; names are checked and addresses are not, so a router must have a name; and it brings a second
-//! generation of hash and curve crates. A stream below it that hands on whole records only would make
-//! reads safe to drop. Not tried: `mbedtls-rs` 0.3, which is C with an allocator under the motion
-//! core, and rustls without `std`, which wants an allocator and a provider of its algorithms. If it
-//! is built, it is `embedded-tls`.
+//! **TLS on a node** (`node-firmware/tls`): a node that was told the fleet's authority (`fleet provision
+//! --router tls/… --ca DIR/ca.pem`, `emulator --ca`) speaks TLS 1.3 to port 7447, with its password
+//! inside, and to nobody whose certificate that authority has not signed for the name under which the
+//! node reaches it; it never falls back to plain TCP, whatever its address, a scout or a router says.
+//! Without an authority it proves itself by a password that is never sent, and what it says by plain TCP
+//! can be read and changed on the way, except that a signed job cannot be changed. `--listen
+//! tls/0.0.0.0:7447` alone closes the door for nodes without TLS. Left: a node has no calendar and does
+//! not check dates, so the key of a router's certificate counts until nodes are told another authority;
+//! there is no revocation list; whoever listens still sees when and how much a node says. The library is
+//! rustls, the router's own, without I/O: no read is lost when it is dropped, addresses are checked as
+//! names are, and 4.4 KB of heap open a link and 2.4 KB keep it. What it costs is flash: 270 KB of code and
+//! constants (riscv32imac, optimized for size). `embedded-tls` 0.19, tried before, takes half of that, but
+//! 16 KiB of memory for its longest record, knows no addresses, and its reads must not be dropped.
 //!
 //! **Clocks.** Certificates are good for twenty years, so that a clock which is wrong by months does
 //! not stop a fleet; nothing else here asks what day it is.

@@ -241,6 +241,13 @@ fn config_of(
         user: login.user.as_str().to_owned(),
         password: login.password.as_str().to_owned(),
     });
+    config.authority = match &record.authority {
+        None => None,
+        Some(kept) => {
+            let authority = tls::Authority::from_parts(&kept.subject, &kept.key);
+            Some(authority.map_err(SpawnError::Authority)?)
+        }
+    };
     config.axis_count = config.axis_count.max(record.axes.len()).min(CHANNELS);
     config.motion = provision::kit::motion_of(record, config.axis_count);
     config.machine.switches = bed::switches(&config.motion, base);

@@ -79,9 +79,12 @@ pub struct EmulatorConfig {
     /// Public keys of operators: the node executes only what one of them has signed. None by
     /// default: whatever its gateway sends.
     pub signers: node::signed::Keys,
-    /// Router to connect to, `tcp/HOST:PORT`; on this machine by default; empty: what scouting finds.
-    /// Wall clock only.
+    /// Router to connect to, `tcp/HOST:PORT` or `tls/HOST:PORT`; on this machine by default; empty: what
+    /// scouting finds. Wall clock only.
     pub connect: String,
+    /// Who must have signed the router's certificate; with one the node speaks TLS only. None by
+    /// default. Wall clock only.
+    pub authority: Option<tls::Authority>,
     /// How scouting is done. Wall clock only.
     pub scout: ScoutConfig,
     /// What the node's clock shows when it boots, µs; 0 by default. Wall clock only.
@@ -117,6 +120,7 @@ impl EmulatorConfig {
             scripts: None,
             signers: node::signed::Keys::new(),
             connect: "tcp/127.0.0.1:7447".to_owned(),
+            authority: None,
             scout: ScoutConfig::default(),
             clock_offset_us: 0,
             clock_drift_ppb: 0,

@@ -28,6 +28,7 @@ pub mod pulse;
 pub mod record;
 pub mod scout;
 pub mod store;
+mod stream;
 pub mod vcd;
 pub mod verdict;
 pub mod wall;

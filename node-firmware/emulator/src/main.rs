@@ -31,6 +31,7 @@ use std::{
     emulator --name left                      one node for the gateway on this machine\n  \
     emulator --nodes 8                        node-1 to node-8\n  \
     emulator --name left --scout              asks the network where the router is\n  \
+    emulator --connect tls/plant:7447 --ca ca.pem --user left --password-file left.pw   a secured fleet\n  \
     emulator --name left --vcd left.vcd       its pins for GTKWave or PulseView\n  \
     emulator --home 0:min@-300 --limit 0:max@5000   axis 0 can be homed, and has a limit\n  \
     emulator --scripts scripts --boot-script  stored scripts in files; the one named boot runs at the start\n  \
@@ -50,10 +51,15 @@ struct Args {
     /// Zenoh router or gateway to connect to.
     #[arg(
         long,
-        value_name = "tcp/HOST:PORT",
+        value_name = "tcp|tls/HOST:PORT",
         default_value = "tcp/127.0.0.1:7447"
     )]
     connect: String,
+
+    /// File with the authority of a secured fleet (DIR/ca.pem): the nodes speak TLS 1.3, and only to a router
+    /// whose certificate it has signed.
+    #[arg(long, value_name = "FILE", conflicts_with = "scout")]
+    ca: Option<PathBuf>,
 
     /// Find the router by scouting (UDP multicast), as a board does that was told none; with an address
     /// of this machine in that network.
@@ -151,7 +157,7 @@ struct Args {
     /// firmware. Where its switches are is said by --limit and --home, else they are 1000 steps below and
     /// 100000 above.
     #[arg(long, value_name = "FILE", conflicts_with_all =
-        ["cd", "name", "nodes", "connect", "prefix", "user", "vcd", "signers", "scripts", "boot_script"])]
+        ["cd", "name", "nodes", "connect", "ca", "prefix", "user", "vcd", "signers", "scripts", "boot_script"])]
     flash: Option<PathBuf>,
 
     /// Where the board's serial port is to be found: a link that is made, and removed at the end.
@@ -187,6 +193,7 @@ impl Args {
             Some(file) => read_signers(file)?,
             None => node::signed::Keys::new(),
         };
+        let authority = self.ca.as_deref().map(read_authority).transpose()?;
         let credentials = match (&self.user, &self.password_file) {
             (Some(user), Some(file)) => Some(credentials(user, file)?),
             _ => None,
@@ -228,6 +235,7 @@ impl Args {
                     clock_offset_us: self.clock_offset_us,
                     clock_drift_ppb: (self.clock_drift_ppm * 1_000.0) as i64,
                     credentials: credentials.clone(),
+                    authority: authority.clone(),
                     scripts: self.scripts.as_ref().map(|folder| folder.join(&name)),
                     boot_script: self.boot_script,
                     signers: signers.clone(),
@@ -265,6 +273,12 @@ fn read_signers(file: &Path) -> Result<node::signed::Keys> {
         );
     }
     Ok(signers)
+}
+
+fn read_authority(file: &Path) -> Result<tls::Authority> {
+    let name = file.display();
+    let text = std::fs::read(file).with_context(|| format!("--ca {name}"))?;
+    tls::Authority::from_pem(&text).with_context(|| format!("--ca {name}"))
 }
 
 fn credentials(user: &str, password_file: &Path) -> Result<Credentials> {
@@ -495,6 +509,9 @@ mod tests {
         assert!(error(&["--home", "0:low@3"]).contains("AXIS:SWITCH@STEPS"));
         assert!(error(&["--home", "2:min@3"]).contains("there is no axis 2"));
         assert!(error(&["--user", "u"]).contains("--password-file"));
+        assert!(error(&["--ca", "/no/such.pem"]).contains("--ca /no/such.pem"));
+        assert!(error(&["--ca", "Cargo.toml"]).contains("no certificate in it"));
+        assert!(error(&["--ca", "a.pem", "--scout"]).contains("--scout"));
     }
 
     #[test]

@@ -9,10 +9,9 @@ use crate::{
     config::EmulatorConfig,
     emulated::{EmulatedNode, splitmix},
     record::Life,
-    scout::{ScoutConfig, find_router},
     store::{FolderStore, MemoryStore},
+    stream::{Connector, NoWay, Way},
 };
-use embedded_io_adapters::tokio_1::FromTokio;
 use keys::{AxisId, LocalMicros, NodeId, Status};
 use node::{
     Inbound,
@@ -20,7 +19,7 @@ use node::{
     run::NodeLink,
 };
 use pico::{
-    driver::{self, App, Connect, ConnectError, Next, Timer},
+    driver::{self, App, Next, Timer},
     session::{Session, SessionConfig},
 };
 use std::{
@@ -31,22 +30,20 @@ use std::{
     },
     time::Duration,
 };
-use tokio::{
-    net::{
-        TcpStream,
-        tcp::{OwnedReadHalf, OwnedWriteHalf},
-    },
-    sync::Notify,
-    task::JoinHandle,
-    time::Instant,
-};
+use tokio::{sync::Notify, task::JoinHandle, time::Instant};
 use update::Region;
 
 /// Why a node cannot be spawned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SpawnError {
-    /// The locator is not `tcp/HOST:PORT`.
+    /// The locator is not `tcp/HOST:PORT` or `tls/HOST:PORT`.
     Locator(String),
+    /// The locator asks for TLS, but the node was told no authority.
+    NoAuthority(String),
+    /// The node was told an authority, but the locator does not ask for TLS.
+    Open(String),
+    /// What the node was told is no authority.
+    Authority(tls::AuthorityError),
     /// The axes cannot be like this.
     Motion(motion::ConfigError),
     /// The ring holds no command.
@@ -59,8 +56,20 @@ impl std::fmt::Display for SpawnError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Locator(locator) => {
-                write!(f, "{locator:?} is no address of the form tcp/HOST:PORT")
+                write!(
+                    f,
+                    "{locator:?} is no address of the form tcp/HOST:PORT or tls/HOST:PORT"
+                )
             }
+            Self::NoAuthority(locator) => write!(
+                f,
+                "{locator:?} asks for TLS, and the node was told no authority to trust"
+            ),
+            Self::Open(locator) => write!(
+                f,
+                "a node that was told an authority speaks TLS only: {locator:?} must be tls/HOST:PORT"
+            ),
+            Self::Authority(error) => write!(f, "the authority: {error}"),
             Self::Motion(error) => error.fmt(f),
             Self::Ring => write!(f, "the ring must hold at least one command"),
             Self::Scripts(error) => write!(f, "the stored scripts: {error}"),
@@ -80,9 +89,20 @@ struct Shared {
     /// The power was cut: the link breaks without a word.
     rebooted: Notify,
     quit: AtomicBool,
+    /// Why the router that was reached last was not spoken to.
+    refusal: Mutex<Option<String>>,
 }
 
 impl Shared {
+    /// Keeps why a router is not spoken to, and says it once.
+    fn refused(&self, name: &NodeId, why: &str) {
+        let mut refusal = self.refusal.lock().unwrap_or_else(PoisonError::into_inner);
+        if refusal.as_deref() != Some(why) {
+            tracing::warn!("{name}: no link: {why}");
+            *refusal = Some(why.to_owned());
+        }
+    }
+
     fn node(&self) -> MutexGuard<'_, EmulatedNode> {
         self.node.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -132,31 +152,6 @@ impl Timer for NodeTimer {
     }
 }
 
-struct Tcp {
-    /// Empty: whatever scouting finds.
-    address: String,
-    scout: ScoutConfig,
-}
-
-impl Connect for Tcp {
-    type Reader = FromTokio<OwnedReadHalf>;
-    type Writer = FromTokio<OwnedWriteHalf>;
-
-    async fn connect(&mut self) -> Result<(Self::Reader, Self::Writer), ConnectError> {
-        let connected = if self.address.is_empty() {
-            let found = find_router(self.scout).await.map_err(|_| ConnectError)?;
-            TcpStream::connect(found).await
-        } else {
-            TcpStream::connect(&self.address).await
-        };
-        let stream = connected.map_err(|_| ConnectError)?;
-        // Stops and clock replies must not wait for more to send.
-        stream.set_nodelay(true).map_err(|_| ConnectError)?;
-        let (reader, writer) = stream.into_split();
-        Ok((FromTokio::new(reader), FromTokio::new(writer)))
-    }
-}
-
 struct NodeApp {
     shared: Arc<Shared>,
     link: NodeLink,
@@ -197,13 +192,14 @@ impl App for NodeApp {
 /// # Panics
 /// There is no tokio runtime.
 pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
-    let address = config
-        .connect
-        .strip_prefix("tcp/")
-        .filter(|address| address.rsplit_once(':').is_some_and(is_port))
-        .or(config.connect.is_empty().then_some(""))
-        .ok_or_else(|| SpawnError::Locator(config.connect.clone()))?
-        .to_owned();
+    let way = Way::new(&config.connect, config.authority.as_ref()).map_err(|why| {
+        let locator = config.connect.clone();
+        match why {
+            NoWay::Locator => SpawnError::Locator(locator),
+            NoWay::NoAuthority => SpawnError::NoAuthority(locator),
+            NoWay::Open => SpawnError::Open(locator),
+        }
+    })?;
     config.check().map_err(SpawnError::Motion)?;
     if config.ring_commands == 0 {
         return Err(SpawnError::Ring);
@@ -220,8 +216,9 @@ pub fn spawn(config: EmulatorConfig) -> Result<EmulatedHandle, SpawnError> {
         touched: Notify::new(),
         rebooted: Notify::new(),
         quit: AtomicBool::new(false),
+        refusal: Mutex::new(None),
     });
-    let task = tokio::spawn(live(shared.clone(), address));
+    let task = tokio::spawn(live(shared.clone(), way));
     Ok(EmulatedHandle { shared, task })
 }
 
@@ -240,14 +237,10 @@ fn store_of(config: &EmulatorConfig) -> Result<BoxedStore, SpawnError> {
     Ok(Box::new(store.map_err(told)?))
 }
 
-fn is_port((host, port): (&str, &str)) -> bool {
-    !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port != 0)
-}
-
 /// Boot after boot until the node quits.
-async fn live(shared: Arc<Shared>, address: String) {
+async fn live(shared: Arc<Shared>, way: Way) {
     while !shared.quit.load(Ordering::Relaxed) {
-        let boot = boot(shared.clone(), address.clone());
+        let boot = boot(shared.clone(), way.clone());
         tokio::select! {
             () = boot => {}
             () = shared.rebooted.notified() => {}
@@ -257,7 +250,7 @@ async fn live(shared: Arc<Shared>, address: String) {
     shared.node().inbound(Inbound::LinkDown, now);
 }
 
-async fn boot(shared: Arc<Shared>, address: String) {
+async fn boot(shared: Arc<Shared>, way: Way) {
     let (keys, name, credentials, scout, boot) = {
         let node = shared.node();
         let config = node.config();
@@ -285,9 +278,13 @@ async fn boot(shared: Arc<Shared>, address: String) {
         link,
         boot,
     };
-    let timer = NodeTimer(shared);
-    let mut tcp = Tcp { address, scout };
-    driver::run(&mut session, &mut tcp, &timer, &mut app).await;
+    let timer = NodeTimer(shared.clone());
+    let mut connector = Connector {
+        way,
+        scout,
+        refused: |why: &str| shared.refused(&name, why),
+    };
+    driver::run(&mut session, &mut connector, &timer, &mut app).await;
 }
 
 /// Where boot numbers and session ids come from: the operating system, by way of the hasher.
@@ -354,6 +351,12 @@ impl EmulatedHandle {
     /// Returns whether its session is open.
     pub fn link_up(&self) -> bool {
         self.shared.node().node().link_up()
+    }
+
+    /// Returns why the router that was reached last was not spoken to, in words.
+    pub fn refusal(&self) -> Option<String> {
+        let refusal = self.shared.refusal.lock();
+        refusal.unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Presses or frees the stop input.

@@ -5,6 +5,7 @@ use crate::{
     flash::{BootLoader, CoreFlash},
     plan::{LINK, OUTGOING, Parcel, STOP, WAKE, in_window, now},
     scripts::Shelf,
+    secure::{Reader, Writer, secure},
     vitals::Gauges,
 };
 use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
@@ -184,7 +185,8 @@ impl driver::Timer for BoardTimer {
 
 /// One end of a connection. Reads and writes wait at the same time, so each poll borrows the socket
 /// for its own length only: embassy-net keeps no state in the futures that are dropped.
-struct Half(Rc<RefCell<TcpSocket<'static>>>);
+#[derive(Clone)]
+pub(crate) struct Half(Rc<RefCell<TcpSocket<'static>>>);
 
 impl ErrorType for Half {
     type Error = embassy_net::tcp::Error;
@@ -241,14 +243,14 @@ impl Tcp {
 }
 
 impl Connect for Tcp {
-    type Reader = Half;
-    type Writer = Half;
+    type Reader = Reader;
+    type Writer = Writer;
 
     #[expect(
         clippy::await_holding_refcell_ref,
         reason = "nobody else has the socket while it connects"
     )]
-    async fn connect(&mut self) -> Result<(Half, Half), ConnectError> {
+    async fn connect(&mut self) -> Result<(Reader, Writer), ConnectError> {
         self.stack.wait_config_up().await;
         let endpoint = self.endpoint().await?;
         {
@@ -257,7 +259,7 @@ impl Connect for Tcp {
             socket.set_nagle_enabled(false);
             socket.connect(endpoint).await.map_err(|_| ConnectError)?;
         }
-        Ok((Half(self.socket.clone()), Half(self.socket.clone())))
+        secure(self.record, Half(self.socket.clone())).await
     }
 }
 

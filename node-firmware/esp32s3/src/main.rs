@@ -31,6 +31,7 @@ mod pwm;
 mod rmt;
 mod scout;
 mod scripts;
+mod secure;
 mod serial;
 mod shift;
 mod stop_pin;
@@ -94,7 +95,8 @@ macro_rules! keep {
     }};
 }
 
-/// Random bytes for zenoh-keyexpr's hash maps.
+/// Random bytes for zenoh-keyexpr's hash maps and for the keys of TLS. They are unpredictable while the
+/// radio is on, and without it there is no router to talk to.
 fn hardware_random(bytes: &mut [u8]) -> Result<(), getrandom::Error> {
     Rng::new().read(bytes);
     Ok(())

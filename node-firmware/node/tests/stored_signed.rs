@@ -10,7 +10,7 @@ mod flash;
 use ed25519_dalek::{Signer as _, SigningKey};
 use flash::Flash;
 use keys::{
-    LocalMicros, NodeId, NodeTopic,
+    NodeId, NodeTopic,
     signed_script::{Line, Statement},
 };
 use node::library::{ScriptStore, flash::FlashStore};
@@ -49,13 +49,7 @@ fn booted(flash: &Flash, boot: u32) -> Rig {
     config.signers.push(key).expect("room");
     let store = FlashStore::open(flash.clone()).expect("a region");
     let node = emulator::EmulatedNode::with_store(config, boot, Box::new(store));
-    let mut rig = Rig {
-        node,
-        now: LocalMicros(0),
-        sent: Vec::new(),
-    };
-    rig.link(true);
-    rig
+    Rig::with_node(node)
 }
 
 /// Puts a text, or deletes it, and returns what the log says to that.

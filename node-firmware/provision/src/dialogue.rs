@@ -16,6 +16,10 @@ use keys::NodeId;
 use serde::{Deserialize, Serialize};
 
 /// What the other side asks. Appended to, never changed.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one is alive at a time, and there is no heap here"
+)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Request {
     /// Who is there?
@@ -85,6 +89,8 @@ pub struct Shown {
     pub machine: Machine,
     /// Something was told of how it moves: see [`Request::ShowTuning`].
     pub has_tuning: bool,
+    /// It was told whom to trust, and speaks TLS only.
+    pub has_authority: bool,
 }
 
 /// How much of an operator's key is shown.
@@ -101,6 +107,8 @@ pub enum Refused {
     Flash,
     /// The record has no name or no network.
     Incomplete,
+    /// A router by TLS without an authority, or an authority without a router by TLS.
+    Authority,
 }
 
 impl From<StoreError> for Refused {
@@ -210,6 +218,9 @@ impl<F: NorFlash> Dialogue<F> {
             return Err(Refused::Moving);
         }
         let collected = self.collected.as_ref().unwrap_or(&self.kept);
+        if !collected.is_consistent() {
+            return Err(Refused::Authority);
+        }
         if !collected.is_complete() {
             return Err(Refused::Incomplete);
         }
@@ -241,5 +252,6 @@ fn shown(record: &Record) -> Shown {
             .collect(),
         machine: record.machine.clone(),
         has_tuning: record.tuning != Tuning::default(),
+        has_authority: record.authority.is_some(),
     }
 }

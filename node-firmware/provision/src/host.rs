@@ -35,6 +35,9 @@ impl fmt::Display for HostError {
             Self::Refused(Refused::Incomplete) => {
                 f.write_str("the node needs at least a name and a WiFi network")
             }
+            Self::Refused(Refused::Authority) => f.write_str(
+                "a router by tls/ needs an authority to trust (--ca), and an authority a router by tls/",
+            ),
             Self::Answer => f.write_str("the node answers something else"),
         }
     }

@@ -30,8 +30,14 @@ pub const USER_BYTES_MAX: usize = 32;
 /// Most keys of operators that a node knows.
 pub const SIGNERS_MAX: usize = 8;
 
+/// Longest name of an authority, bytes of DER.
+pub const AUTHORITY_SUBJECT_BYTES_MAX: usize = 128;
+
+/// Longest key of an authority, bytes of DER.
+pub const AUTHORITY_KEY_BYTES_MAX: usize = 96;
+
 /// Most bytes of a record.
-pub const RECORD_BYTES_MAX: usize = 1_792;
+pub const RECORD_BYTES_MAX: usize = 2_048;
 
 /// A WiFi network.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,6 +55,15 @@ pub struct Login {
     pub user: String<USER_BYTES_MAX>,
     /// Password.
     pub password: String<PASSWORD_BYTES_MAX>,
+}
+
+/// Who must have signed the router's certificate: what counts of an authority's own one.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Authority {
+    /// Its name, DER without the outer tag.
+    pub subject: Vec<u8, AUTHORITY_SUBJECT_BYTES_MAX>,
+    /// Its public key, DER of SubjectPublicKeyInfo without the outer tag.
+    pub key: Vec<u8, AUTHORITY_KEY_BYTES_MAX>,
 }
 
 /// An address instead of DHCP.
@@ -125,7 +140,7 @@ pub struct Record {
     pub networks: Vec<Network, NETWORKS_MAX>,
     /// Address instead of DHCP.
     pub fixed_address: Option<FixedAddress>,
-    /// Where the router is, `tcp/HOST:PORT`; empty: it is found by scouting.
+    /// Where the router is, `tcp/HOST:PORT` or `tls/HOST:PORT`; empty: it is found by scouting.
     pub router: String<ROUTER_BYTES_MAX>,
     /// What the router wants to know.
     pub login: Option<Login>,
@@ -142,6 +157,9 @@ pub struct Record {
     pub machine: Machine,
     /// How it moves by itself.
     pub tuning: Tuning,
+    /// Who must have signed the router's certificate; with one the node speaks TLS only, without one
+    /// it does not.
+    pub authority: Option<Authority>,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -198,6 +216,8 @@ pub enum Setting {
     WayD(Option<WayD>),
     /// Forgets all five.
     NoTuning,
+    /// Who must have signed the router's certificate; `None`: no TLS.
+    Authority(Option<Authority>),
 }
 
 /// A setting does not fit.
@@ -209,7 +229,7 @@ pub enum SettingError {
     Network,
     /// No axis of this number.
     Axis,
-    /// Not of the form `tcp/HOST:PORT`.
+    /// Not of the form `tcp/HOST:PORT` or `tls/HOST:PORT`.
     Router,
     /// The prefix is no key.
     Prefix,
@@ -229,6 +249,8 @@ pub enum SettingError {
     PlacesC,
     /// D has no way, no speed, or its metre no steps.
     WayD,
+    /// The authority has no name or no key.
+    Authority,
 }
 
 impl core::fmt::Display for SettingError {
@@ -237,7 +259,7 @@ impl core::fmt::Display for SettingError {
             Self::Networks => "Networks: it knows as many as it can",
             Self::Network => "Network: it has no name, or a password of 1 to 7 bytes",
             Self::Axis => "Axis: there is no such axis",
-            Self::Router => "Router: it is tcp/HOST:PORT",
+            Self::Router => "Router: it is tcp/HOST:PORT or tls/HOST:PORT",
             Self::Prefix => "Prefix: it is no key",
             Self::Address => "Address: a network has 0 to 32 bits",
             Self::Signers => "Signers: it knows as many as it can",
@@ -255,6 +277,7 @@ impl core::fmt::Display for SettingError {
                  200000 steps a second"
             }
             Self::WayD => "Way of D: it has a way, a speed and steps",
+            Self::Authority => "Authority: it has no name or no key",
         })
     }
 }
@@ -348,13 +371,26 @@ impl Record {
                 self.tuning.d = way;
             }
             Setting::NoTuning => self.tuning = Tuning::default(),
+            Setting::Authority(authority) => {
+                let is_empty = |of: &Authority| of.subject.is_empty() || of.key.is_empty();
+                if authority.as_ref().is_some_and(is_empty) {
+                    return Err(SettingError::Authority);
+                }
+                self.authority = authority;
+            }
         }
         Ok(())
     }
 
     /// Returns whether the node can take part in a fleet.
     pub fn is_complete(&self) -> bool {
-        self.name.is_some() && !self.networks.is_empty()
+        self.name.is_some() && !self.networks.is_empty() && self.is_consistent()
+    }
+
+    /// Returns whether router and authority go together: TLS needs somebody to trust, and a node that
+    /// was told whom to trust does not speak in the open, wherever its router's address came from.
+    pub fn is_consistent(&self) -> bool {
+        self.authority.is_some() == wants_tls(&self.router)
     }
 }
 
@@ -362,11 +398,17 @@ fn demand(legal: bool, error: SettingError) -> Result<(), SettingError> {
     if legal { Ok(()) } else { Err(error) }
 }
 
-/// Returns host and port of a locator `tcp/HOST:PORT`.
+/// Returns host and port of a locator `tcp/HOST:PORT` or `tls/HOST:PORT`.
 pub fn router_address(locator: &str) -> Option<(&str, u16)> {
-    let (host, port) = locator.strip_prefix("tcp/")?.rsplit_once(':')?;
+    let (protocol, address) = locator.split_once('/')?;
+    let (host, port) = address.rsplit_once(':')?;
     let port = port.parse().ok().filter(|port| *port != 0)?;
-    (!host.is_empty()).then_some((host, port))
+    (!host.is_empty() && matches!(protocol, "tcp" | "tls")).then_some((host, port))
+}
+
+/// Returns whether a locator asks for TLS.
+pub fn wants_tls(locator: &str) -> bool {
+    locator.starts_with("tls/")
 }
 
 #[cfg(test)]
@@ -433,6 +475,38 @@ mod tests {
         assert_eq!(record.signers.len(), SIGNERS_MAX);
         record.apply(Setting::NoSigners).expect("always");
         assert_eq!(record, Record::default());
+    }
+
+    #[test]
+    fn a_router_by_tls_and_an_authority_need_each_other() {
+        let mut record = Record {
+            name: Some(NodeId::new("left").expect("legal")),
+            ..Record::default()
+        };
+        let network = Network {
+            ssid: text("shop"),
+            ..Network::default()
+        };
+        record.apply(Setting::Network(network)).expect("fits");
+        assert!(record.is_complete());
+        let authority = Authority {
+            subject: Vec::from_slice(b"s").expect("short"),
+            key: Vec::from_slice(b"k").expect("short"),
+        };
+        for (router, told, is_complete) in [
+            ("tls/plant:7447", false, false),
+            ("tls/plant:7447", true, true),
+            ("tcp/plant:7448", true, false),
+            ("", true, false),
+            ("tcp/plant:7448", false, true),
+        ] {
+            record.apply(Setting::Router(text(router))).expect("legal");
+            let authority = told.then(|| authority.clone());
+            record.apply(Setting::Authority(authority)).expect("legal");
+            assert_eq!(record.is_complete(), is_complete, "{router} {told}");
+        }
+        let nobody = Setting::Authority(Some(Authority::default()));
+        assert_eq!(record.apply(nobody), Err(SettingError::Authority));
     }
 
     #[test]
@@ -523,6 +597,10 @@ mod tests {
         // The answer to who asks for it has a frame of its own.
         let mut answer = [0; crate::frame::FRAME_BYTES_MAX + 2];
         crate::frame::write(&crate::Reply::Tuning(record.tuning.clone()), &mut answer);
+        let mut authority = Authority::default();
+        while authority.subject.push(0xff).is_ok() {}
+        while authority.key.push(0xff).is_ok() {}
+        record.authority = Some(authority);
         let mut buffer = [0; RECORD_BYTES_MAX];
         assert!(postcard::to_slice(&record, &mut buffer).is_ok());
     }

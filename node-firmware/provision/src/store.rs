@@ -218,11 +218,12 @@ mod tests {
         assert_eq!(record.update_key, Some([9; 32]));
         assert!(!record.boot_script && record.signers.is_empty());
         assert_eq!(record.machine, Machine::default());
+        assert_eq!(record.authority, None);
         // And the same record is still written so, with the new fields behind.
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
         let (older, newer) = bytes.split_at(OLDER.len());
-        assert_eq!((older, newer), (OLDER, &[0; 10][..]));
+        assert_eq!((older, newer), (OLDER, &[0; 11][..]));
     }
 
     #[test]
@@ -234,7 +235,7 @@ mod tests {
         };
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
-        let shorter = &bytes[..bytes.len() - 5];
+        let shorter = &bytes[..bytes.len() - 6];
         assert_eq!(decode(shorter), Some(record), "login and all behind it");
     }
 

@@ -13,6 +13,7 @@
 //! | [`update`] | images over the network, and the flash behind them |
 //! | [`node`] | a whole node, told anything in any order |
 //! | [`script`] | Lua |
+//! | [`tls`] | TLS of a node: records, what happens to them, certificates |
 //! | `store.rs` | the gateway's file, and what it takes up from it; apart, because it needs the gateway |
 //!
 //! Each module has `check`, and `seeds`: a few inputs that reach far.
@@ -26,6 +27,7 @@ pub mod provision;
 pub mod reader;
 pub mod script;
 pub mod session;
+pub mod tls;
 pub mod update;
 pub mod wire;
 
@@ -40,7 +42,7 @@ pub struct Target {
 }
 
 /// All targets that need no gateway.
-pub const TARGETS: [Target; 10] = [
+pub const TARGETS: [Target; 11] = [
     Target {
         name: "wire",
         check: wire::check,
@@ -90,6 +92,11 @@ pub const TARGETS: [Target; 10] = [
         name: "script",
         check: script::check,
         seeds: script::seeds,
+    },
+    Target {
+        name: "tls",
+        check: tls::check,
+        seeds: tls::seeds,
     },
 ];
 

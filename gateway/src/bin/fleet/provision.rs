@@ -16,7 +16,7 @@ use provision::{
     dialogue::{SIGNER_SHOWN_BYTES, Shown},
     frame::FRAME_BYTES_MAX,
     machine::{End, SwitchOf, SwitchSettings},
-    record::{Login, Network, SIGNERS_MAX},
+    record::{self, Authority, Login, Network, SIGNERS_MAX},
 };
 use serialport::SerialPort;
 use std::{
@@ -24,6 +24,12 @@ use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
+
+// What is read fits into the record.
+const _: () = assert!(
+    record::AUTHORITY_SUBJECT_BYTES_MAX == tls::authority::SUBJECT_BYTES_MAX
+        && record::AUTHORITY_KEY_BYTES_MAX == tls::authority::KEY_BYTES_MAX
+);
 
 /// Speed of the line; a USB port takes any.
 const BAUD: u32 = 115_200;
@@ -49,14 +55,23 @@ pub(crate) struct Provision {
     #[arg(long, value_name = "FILE", requires = "wifi")]
     wifi_password_file: Option<PathBuf>,
 
-    /// Where the router or gateway is.
-    #[arg(long, value_name = "tcp/HOST:PORT")]
+    /// Where the router or gateway is; by tls/ the node needs --ca, too.
+    #[arg(long, value_name = "tcp|tls/HOST:PORT")]
     router: Option<String>,
 
     /// File that `fleet users` made for this node (DIR/NAME.json): its user and password. Without it:
     /// --user and --password-file. Never the credentials of whoever runs this.
     #[arg(long, value_name = "FILE", conflicts_with = "user")]
     login: Option<PathBuf>,
+
+    /// File with the authority of a secured fleet (DIR/ca.pem): the node speaks TLS 1.3, and only to a
+    /// router whose certificate it has signed.
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+
+    /// Forget the authority: the node speaks plain TCP.
+    #[arg(long, conflicts_with = "ca")]
+    no_ca: bool,
 
     /// File with the public key (ed25519, 64 hexadecimal digits) that firmware must be signed with.
     #[arg(long, value_name = "FILE")]
@@ -197,6 +212,12 @@ impl Provision {
                 password: short(&login.password, "--login")?,
             })));
         }
+        if let Some(file) = &self.ca {
+            settings.push(Setting::Authority(Some(authority(file)?)));
+        }
+        if self.no_ca {
+            settings.push(Setting::Authority(None));
+        }
         if let (Some(user), Some(file)) = (&common.user, &common.password_file) {
             settings.push(Setting::Login(Some(Login {
                 user: short(user, "--user")?,
@@ -313,6 +334,17 @@ fn secret(file: &Path, option: &str) -> Result<String, Failure> {
     Ok(text.trim_end_matches(['\r', '\n']).to_owned())
 }
 
+fn authority(file: &Path) -> Result<Authority, Failure> {
+    let bad = |why: String| Failure::Usage(format!("--ca {}: {why}", file.display()));
+    let text = std::fs::read(file).map_err(|error| bad(error.to_string()))?;
+    let read = tls::Authority::from_pem(&text).map_err(|error| bad(error.to_string()))?;
+    let part = "tls::Authority keeps to these bounds";
+    Ok(Authority {
+        subject: heapless::Vec::from_slice(read.subject()).expect(part),
+        key: heapless::Vec::from_slice(read.key()).expect(part),
+    })
+}
+
 fn signers(file: &Path) -> Result<Vec<[u8; 32]>, Failure> {
     let bad = |why: &str| Failure::Usage(format!("--signers {}: {why}", file.display()));
     let list = keys::signers::parse(&secret(file, "--signers")?).map_err(|why| bad(&why))?;
@@ -420,6 +452,7 @@ fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool)
             "node": shown.name,
             "networks": networks,
             "router": shown.router.as_str(),
+            "tls": shown.has_authority,
             "login": shown.has_login,
             "axes": shown.axes,
             "update_key": shown.has_update_key,
@@ -441,6 +474,12 @@ fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool)
     println!("name        {name}");
     println!("networks    {}", networks.join(", "));
     println!("router      {}", shown.router);
+    let trusts = if shown.has_authority {
+        "the authority that it was told"
+    } else {
+        "no: plain TCP"
+    };
+    println!("tls         {trusts}");
     println!("login       {}", said(shown.has_login));
     println!("update key  {}", said(shown.has_update_key));
     println!(

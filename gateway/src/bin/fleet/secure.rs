@@ -31,7 +31,8 @@ pub(crate) fn init(init: &Init, json: bool) -> Result<(), Failure> {
         "made the secured fleet {folder}; its secrets are readable by you only"
     ));
     show::line(&format!(
-        "  people connect by tls, port {TLS_PORT}; nodes by tcp, port {NODES_PORT}"
+        "  people connect by tls, port {TLS_PORT}; nodes by tls, too, with --ca {folder}/ca.pem, or by \
+         tcp, port {NODES_PORT}"
     ));
     show::line(&format!("  fleet serve --secure {folder}"));
     show::line(&format!("  fleet --credentials {} nodes", file.display()));

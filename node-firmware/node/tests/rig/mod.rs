@@ -98,7 +98,8 @@ impl Rig {
         Self::with_node(EmulatedNode::with_store(config, BOOT, store))
     }
 
-    fn with_node(node: EmulatedNode) -> Self {
+    /// The same around a node that is made already.
+    pub fn with_node(node: EmulatedNode) -> Self {
         let mut rig = Self {
             node,
             interpreter: Interpreter::new(),
