@@ -399,6 +399,8 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     put(&left, "fleet/node/right/status", bytes.clone()).await;
     let vitals = in_time(alice.declare_subscriber("fleet/node/*/vitals")).await;
     let vitals = vitals.expect("declared");
+    // An answer comes behind it: then the router knows what she wants to hear.
+    let _ = ask(&alice, "fleet/node/right/state", None).await;
     put(&left, "fleet/node/right/vitals", "not its own").await;
     let _token = in_time(left.liveliness().declare_token("fleet/node/right/alive")).await;
     put(&left, "fleet/node/left/job", job("lefts").to_string()).await;

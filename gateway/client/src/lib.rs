@@ -32,7 +32,7 @@ use std::{fmt::Display, time::Duration};
 use zenoh::{
     Session,
     bytes::Encoding,
-    handlers::FifoChannelHandler,
+    handlers::{RingChannel, RingChannelHandler},
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::ConsolidationMode,
@@ -203,7 +203,9 @@ impl Fleet {
     /// # Errors
     /// There is no such job, or nobody answers.
     pub async fn follow(&self, job: &JobId) -> Result<Follow, FleetError> {
-        let channel = zenoh::handlers::FifoChannel::new(RECORDS_WAITING_MAX);
+        // Full, it forgets the oldest record. One that kept them all would hold up the thread that
+        // brings the session's answers, too.
+        let channel = RingChannel::new(RECORDS_WAITING_MAX);
         let changes = self
             .session
             .declare_subscriber(self.keys.job(job).as_str())
@@ -370,7 +372,7 @@ impl Fleet {
 /// A job's records as they change; see [`Fleet::follow`].
 #[derive(Debug)]
 pub struct Follow {
-    changes: Subscriber<FifoChannelHandler<Sample>>,
+    changes: Subscriber<RingChannelHandler<Sample>>,
     next: Option<JobRecord>,
     version: u64,
 }

@@ -114,6 +114,27 @@ async fn a_client_hands_in_follows_stops_releases_and_is_told_what_cannot_be() {
         "{nobody:?}"
     );
 
+    // Whoever does not read what he follows still gets his answers.
+    let unread = in_time(fleet.follow(&id)).await.expect("there");
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{locator}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).expect("a known setting");
+    }
+    let talker = in_time(async { zenoh::open(config).await }).await.expect("connected");
+    for _ in 0..2_000 {
+        let put = talker
+            .put(fleet.keys().job(&id).as_str(), "{}")
+            .congestion_control(zenoh::qos::CongestionControl::Block);
+        in_time(async { put.await }).await.expect("said");
+    }
+    assert!(in_time(fleet.job(&id)).await.is_ok());
+    drop(unread);
+    in_time(async { talker.close().await }).await.expect("closed");
+
     for node in nodes {
         in_time(node.shutdown()).await;
     }

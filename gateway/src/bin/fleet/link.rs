@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use std::{path::Path, time::Duration};
 use zenoh::{
     bytes::Encoding,
-    handlers::FifoChannelHandler,
+    handlers::{RingChannel, RingChannelHandler},
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::ConsolidationMode,
@@ -18,7 +18,7 @@ use zenoh::{
 pub(crate) use client::Answer;
 
 /// A subscriber that is read with `recv_async`.
-pub(crate) type Samples = Subscriber<FifoChannelHandler<Sample>>;
+pub(crate) type Samples = Subscriber<RingChannelHandler<Sample>>;
 
 /// Why a command ends with another exit code than 0.
 #[derive(Debug)]
@@ -327,7 +327,9 @@ impl Link {
 
     /// Hears a key from now on.
     pub(crate) async fn subscribe(&self, key: &str) -> Result<Samples, Failure> {
-        let channel = zenoh::handlers::FifoChannel::new(4_096);
+        // When it is full the oldest goes. One that kept them all would, when full, hold up the thread
+        // that brings the answers, too.
+        let channel = RingChannel::new(4_096);
         Ok(self
             .fleet
             .session()
