@@ -3,13 +3,13 @@
 
 mod bench;
 
-use bench::{Bench, config};
+use bench::{Bench, config, motor::seeds_from};
 use emulator::{
     pins::{Pin, PinEvent},
     record::Life,
 };
 use keys::{
-    AxisId, Command, StopMode,
+    AxisId, Command, NodeState, StopMode,
     command::{Ramp, RampShape},
 };
 
@@ -337,8 +337,9 @@ fn stop_somewhere(seed: u64, commands: Vec<Command>) {
             _ => StopMode::Decelerate,
         };
         println!("seed {seed}: {mode:?} at {at} us");
+        let queue = bench.node.status().queue;
         bench.stop(mode);
-        bench.run_until(at + 300_000_000);
+        bench.run_to_report(queue);
         bench.judged();
         bench.release();
         bench.waiting.clear();
@@ -350,7 +351,7 @@ fn stop_somewhere(seed: u64, commands: Vec<Command>) {
 
 #[test]
 fn a_stop_at_any_instant_of_a_ramp_keeps_its_limits_and_the_position() {
-    for seed in 4_000..4_400 {
+    for seed in seeds_from(4_000, 400) {
         let mut random = Random(seed);
         let commands = (0..20).map(|_| random.ramp()).collect();
         stop_somewhere(seed, commands);
@@ -359,7 +360,7 @@ fn a_stop_at_any_instant_of_a_ramp_keeps_its_limits_and_the_position() {
 
 #[test]
 fn a_stop_at_any_instant_of_joined_lines_stays_on_the_path() {
-    for seed in 5_000..5_400 {
+    for seed in seeds_from(5_000, 400) {
         let commands = if seed % 2 == 0 {
             row(seed)
         } else {
@@ -367,6 +368,29 @@ fn a_stop_at_any_instant_of_joined_lines_stays_on_the_path() {
         };
         stop_somewhere(seed, commands);
     }
+}
+
+#[test]
+fn a_slow_stop_is_told_at_once_and_reported_when_the_last_step_is_made() {
+    // It rests from no less than 10 Hz: a tenth of a second a step.
+    let mut bench = four_axes();
+    bench.order([ramp(X, 40, 112, 0, smooth(10, 4_766))]);
+    bench.run_until(1_875_984);
+    let queue = bench.node.status().queue;
+    bench.stop(StopMode::Decelerate);
+    bench.run_for(1_000_000);
+    let status = bench.node.status();
+    assert_eq!(status.state, NodeState::Stopped);
+    assert!(status.stop.is_none() && status.axes[0].speed_mhz > 0);
+    bench.run_to_report(queue);
+    let life = bench.judged();
+    let report = &life.stops[0];
+    assert_eq!(report.executed_commands, 0);
+    assert_eq!(
+        report.positions_steps[0],
+        rises(&life, X).len() as i64,
+        "the report has all steps"
+    );
 }
 
 #[test]

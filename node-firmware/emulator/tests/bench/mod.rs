@@ -5,7 +5,7 @@ pub(crate) mod motor;
 
 use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle, record::Life};
 use keys::{
-    BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, StopMode,
+    BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, QueueId, StopMode,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     pace::PaceMessage,
 };
@@ -114,6 +114,20 @@ impl Bench {
     pub(crate) fn stop(&mut self, mode: StopMode) {
         let payload = keys::Stop { mode }.to_payload();
         self.node.handle(NodeTopic::Stop, payload, self.now);
+    }
+
+    /// Runs until the stop of a queue is reported, and a second more, in which nothing may move.
+    ///
+    /// [`keys::NodeState::Stopped`] says that the latch is set, which it is while the axes still slow
+    /// down; and the judge knows of a stop only by its report.
+    pub(crate) fn run_to_report(&mut self, queue: QueueId) {
+        let latest_us = self.now.0 + 300_000_000;
+        let reported = |stop: keys::StopReport| stop.queue == queue;
+        while !self.node.status().stop.is_some_and(reported) {
+            assert!(self.now.0 < latest_us, "{queue:?} does not come to rest");
+            self.run_for(20_000);
+        }
+        self.run_for(1_000_000);
     }
 
     pub(crate) fn release(&mut self) {

@@ -11,8 +11,13 @@ pub(crate) const HZ: f64 = 16e6;
 /// Returns the seeds of a property: so many, or what the environment's `SEEDS` says: as many
 /// (`1000`), or from one to before another (`453..454`).
 pub(crate) fn seeds(usual: u64) -> std::ops::Range<u64> {
+    seeds_from(0, usual)
+}
+
+/// The same for a property whose first seed is not 0.
+pub(crate) fn seeds_from(first: u64, usual: u64) -> std::ops::Range<u64> {
     let Ok(seeds) = std::env::var("SEEDS") else {
-        return 0..usual;
+        return first..first + usual;
     };
     let number = |text: &str| {
         text.parse()
@@ -20,7 +25,7 @@ pub(crate) fn seeds(usual: u64) -> std::ops::Range<u64> {
     };
     match seeds.split_once("..") {
         Some((from, to)) => number(from)..number(to),
-        None => 0..number(&seeds),
+        None => first..first + number(&seeds),
     }
 }
 
