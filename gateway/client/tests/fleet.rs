@@ -124,16 +124,21 @@ async fn a_client_hands_in_follows_stops_releases_and_is_told_what_cannot_be() {
     ] {
         config.insert_json5(key, &value).expect("a known setting");
     }
-    let talker = in_time(async { zenoh::open(config).await }).await.expect("connected");
+    let talker = in_time(async { zenoh::open(config).await })
+        .await
+        .expect("connected");
     for _ in 0..2_000 {
+        let key = fleet.keys().job(&id).as_str().to_owned();
         let put = talker
-            .put(fleet.keys().job(&id).as_str(), "{}")
+            .put(key, "{}")
             .congestion_control(zenoh::qos::CongestionControl::Block);
         in_time(async { put.await }).await.expect("said");
     }
     assert!(in_time(fleet.job(&id)).await.is_ok());
     drop(unread);
-    in_time(async { talker.close().await }).await.expect("closed");
+    in_time(async { talker.close().await })
+        .await
+        .expect("closed");
 
     for node in nodes {
         in_time(node.shutdown()).await;
