@@ -62,6 +62,10 @@ fn good(function: &Function, parameter: &Parameter) -> &'static str {
         ("input.read", _) => "'stop'",
         ("node.call", "name") => "'stored'",
         ("motor.queue_line", "steps") => "{1, 2}",
+        // It rises from the start's speed, 1, over more than a step.
+        ("motor.queue_smooth_ramp" | "motor.queue_smooth_ramp_to", "speed_hz" | "ramp_steps") => {
+            "2"
+        }
         _ => match parameter.kind.as_str() {
             "integer" | "CommandId" | "1|-1" => "1",
             "string" => "'a'",
