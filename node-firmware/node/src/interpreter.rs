@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Runs have numbers, so that what is late is known as such: the node answers nothing to a script that
-//! it has ended, and the interpreter ends nothing that has begun since. [`Letters`] is what waits on the
+//! it has ended, and the interpreter ends nothing that has begun since. `Letters` is what waits on the
 //! node's side: at most the end of one run and the text of the next.
 //!
 //! Which core has which, and how letters get there, is the board's affair: see [`Mail`].
