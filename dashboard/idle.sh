@@ -5,29 +5,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-20} nodes=${2:-200}
-work=$(mktemp -d)
-started=()
-finish() {
-    # Only what was started here.
-    for process in "${started[@]}"; do kill "$process" 2>/dev/null || true; done
-    wait 2>/dev/null || true
-    rm -rf "$work"
-}
-trap finish EXIT
-
-cargo build --quiet --release -p gateway -p emulator -p dashboard --bins
-bin=${CARGO_TARGET_DIR:-target}/release
-address=tcp/127.0.0.1:${PORT:-17448}
-export DISPLAY=:${DISPLAY_NUMBER:-98} LIBGL_ALWAYS_SOFTWARE=1
-
-# Waits until the command says yes; gives up after 60 s.
-await() {
-    for _ in $(seq 600); do "$@" >/dev/null 2>&1 && return; sleep 0.1; done
-    echo "never: $*" >&2
-    exit 1
-}
-start() { "$@" >>"$work/log" 2>&1 & started+=($!); }
-fleet() { "$bin/fleet" --connect "$address" "$@"; }
+profile=release port=${PORT:-17448} display=${DISPLAY_NUMBER:-98}
+. dashboard/display.sh
 all_are() { [ "$(fleet nodes | grep -c "$1")" -ge "$nodes" ]; }
 # Ticks of 10 ms that the window has had.
 spent() { awk '{ sub(/.*\) /, ""); print $12 + $13 }' "/proc/$window/stat"; }
@@ -41,12 +20,8 @@ line() {
         'BEGIN { printf "%-44s %5.1f %% of a core\n", what, ticks / s }'
 }
 
-start Xvfb "$DISPLAY" -screen 0 1440x860x24
-await xdotool getdisplaygeometry
-start "$bin/dashboard" --connect "$address" --settings "$work/settings.ron"
-window=$!
-await xdotool search --name Stepfleet
-xdotool search --name Stepfleet windowsize 1440 860 windowmove 0 0
+start_display
+start_window
 line "no gateway"
 start "$bin/fleet" serve --store "$work/fleet.redb" --listen "$address"
 await fleet nodes

@@ -5,41 +5,17 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=dashboard/pictures
-work=$(mktemp -d)
-started=()
-finish() {
-    # Only what was started here.
-    for process in "${started[@]}"; do kill "$process" 2>/dev/null || true; done
-    wait 2>/dev/null || true
-    rm -rf "$work"
-}
-trap finish EXIT
-
-cargo build --quiet -p gateway -p emulator -p dashboard --bins
-bin=${CARGO_TARGET_DIR:-target}/debug
-address=tcp/127.0.0.1:${PORT:-17447}
-export DISPLAY=:${DISPLAY_NUMBER:-97} LIBGL_ALWAYS_SOFTWARE=1
-
-# Waits until the command says yes; gives up after 60 s.
-await() {
-    for _ in $(seq 600); do "$@" >/dev/null 2>&1 && return; sleep 0.1; done
-    echo "never: $*" >&2
-    exit 1
-}
-start() { "$@" >>"$work/log" 2>&1 & started+=($!); }
-fleet() { "$bin/fleet" --connect "$address" "$@"; }
+profile=dev port=${PORT:-17447} display=${DISPLAY_NUMBER:-97}
+. dashboard/display.sh
 picture() { sleep 2; import -window root +dither -colors 64 -define png:compression-level=9 -define png:compression-filter=0 "$out/$1.png"; }
 
 mkdir -p "$out"
-start Xvfb "$DISPLAY" -screen 0 1440x860x24
-await xdotool getdisplaygeometry
+start_display
 start "$bin/fleet" serve --store "$work/fleet.redb" --listen "$address"
 await fleet nodes
 start "$bin/emulator" --nodes 4 --connect "$address"
 await sh -c "'$bin/fleet' --connect $address nodes | grep -q node-4.*idle"
-start "$bin/dashboard" --connect "$address" --settings "$work/settings.ron"
-await xdotool search --name Stepfleet
-xdotool search --name Stepfleet windowsize 1440 860 windowmove 0 0
+start_window
 
 cat >"$work/job.json" <<'JOB'
 {"commands":[

@@ -500,6 +500,11 @@ fn commands_of_c_and_d_are_read_and_their_errors_have_their_places() {
             "commands[1].statcd: invalid type: sequence",
         ),
     ];
+    refuses_behind_another(&cases);
+}
+
+/// Each of these commands, the second of a job, is refused with these words among others.
+fn refuses_behind_another(cases: &[(&str, &str)]) {
     for (command, words) in cases {
         let text = format!(r#"{{"commands":[{{"lidar_read":{{}}}},{command}]}}"#);
         let (code, message) = refused(&text);
@@ -585,13 +590,5 @@ fn smooth_ramps_are_read_and_their_errors_have_their_places() {
             "commands[1].ramp.ramp_steps: unknown field `ramp_steps`",
         ),
     ];
-    for (command, words) in cases {
-        let text = format!(r#"{{"commands":[{{"lidar_read":{{}}}},{command}]}}"#);
-        let (code, message) = refused(&text);
-        assert_eq!(code, ErrorCode::BadCommand, "{text}: {message}");
-        assert!(
-            message.contains(words),
-            "{text}\n  said    {message}\n  without {words}"
-        );
-    }
+    refuses_behind_another(&cases);
 }
