@@ -10,12 +10,12 @@
 //! | everything else | [`EVENTS_MAX`] | counted, and everything is asked for again |
 //!
 //! A window that draws takes all of it many times a second. The bounds are for one that does not. It is
-//! woken for news only: a status that says the same as the one before waits for the next frame, which
-//! comes within a second anyway.
+//! woken for news only: a status or a record that differs from the one before by times and clocks
+//! alone waits for the next frame, which comes within a second anyway, and so do vitals.
 
 use super::Clock;
 use crate::message::{Message, Moment};
-use keys::{JobId, NodeId, Status};
+use keys::{JobId, NodeId, Status, record::NodeRecord};
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
@@ -49,8 +49,14 @@ struct Waiting {
     lines: VecDeque<Heard>,
     events: VecDeque<Heard>,
     missed: u64,
-    /// The last status of each node, which stays when all is taken.
-    last: BTreeMap<NodeId, Status>,
+    /// The last status and record of each node, which stay when all is taken.
+    last: Last,
+}
+
+#[derive(Default)]
+struct Last {
+    statuses: BTreeMap<NodeId, Status>,
+    records: BTreeMap<NodeId, NodeRecord>,
 }
 
 /// See the module.
@@ -129,19 +135,32 @@ impl Waiting {
         std::mem::replace(self, fresh)
     }
 
-    /// Returns whether a message says something new.
+    /// Returns whether a message says something that an operator waits for.
     fn is_news(&mut self, message: &Message) -> bool {
-        let Message::Status { node, status } = message else {
-            return true;
-        };
-        if self.last.len() >= NODES_MAX && !self.last.contains_key(node) {
-            return true;
+        match message {
+            Message::Status { node, status } => {
+                let before = exchange(&mut self.last.statuses, *node, status);
+                before.is_none_or(|before| {
+                    let at = status.at;
+                    Status { at, ..before } != **status
+                })
+            }
+            Message::Node(record) => {
+                let before = exchange(&mut self.last.records, record.node, record);
+                before.is_none_or(|before| {
+                    let is_known = before.clock.is_some() == record.clock.is_some();
+                    let clock = if is_known { record.clock } else { before.clock };
+                    let uptime_s = record.uptime_s;
+                    NodeRecord {
+                        clock,
+                        uptime_s,
+                        ..before
+                    } != **record
+                })
+            }
+            Message::Vitals { .. } => false,
+            _ => true,
         }
-        let before = self.last.insert(*node, status.as_ref().clone());
-        before.is_none_or(|before| {
-            let at = status.at;
-            Status { at, ..before } != **status
-        })
     }
 
     /// Returns whether it could be kept, or will be followed by one that is complete.
@@ -202,6 +221,14 @@ impl Waiting {
     }
 }
 
+/// Keeps a node's latest and returns the one before, of as many nodes as fit.
+fn exchange<T: Clone>(last: &mut BTreeMap<NodeId, T>, node: NodeId, latest: &T) -> Option<T> {
+    if last.len() >= NODES_MAX && !last.contains_key(&node) {
+        return None;
+    }
+    last.insert(node, latest.clone())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -255,6 +282,39 @@ mod tests {
         tell(4, 10);
         tell(5, 10);
         assert_eq!(wakes.load(Ordering::Relaxed), 2);
+    }
+
+    #[test]
+    fn a_clock_measured_anew_and_vitals_do_not_wake_the_window_but_a_clock_found_does() {
+        let wakes = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&wakes);
+        let inbox = Inbox::new(Clock::start(), move || {
+            counted.fetch_add(1, Ordering::Relaxed);
+        });
+        let woken_by = |message: Message| {
+            let before = wakes.load(Ordering::Relaxed);
+            inbox.push(message);
+            let woken = wakes.load(Ordering::Relaxed) - before;
+            assert_eq!(inbox.take().len(), 1, "it is kept for the next frame");
+            woken
+        };
+        let record = |offset_us: Option<f64>, uptime_s: u64| {
+            let mut record = crate::model::tests::record("left", keys::record::NodeWord::Idle);
+            record.clock = offset_us.map(|offset_us| keys::record::ClockRecord {
+                offset_us,
+                error_us: 100.0,
+                drift_ppm: 1.0,
+            });
+            record.uptime_s = uptime_s;
+            Message::Node(record)
+        };
+        assert_eq!(woken_by(record(None, 1)), 1);
+        assert_eq!(woken_by(record(Some(5.0), 2)), 1);
+        assert_eq!(woken_by(record(Some(6.0), 3)), 0);
+        assert_eq!(woken_by(record(None, 4)), 1);
+        let node = NodeId::new("left").expect("a name");
+        let vitals = keys::Vitals::default();
+        assert_eq!(woken_by(Message::Vitals { node, vitals }), 0);
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub(super) fn alive(model: &mut Model, ms: u64, name: &str, alive: bool) {
     model.apply(at(ms), Message::Alive { node, alive });
 }
 
-pub(super) fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
+pub(crate) fn record(name: &str, state: NodeWord) -> Box<NodeRecord> {
     Box::new(NodeRecord {
         node: id(name),
         alive: state != NodeWord::Offline,
