@@ -1,15 +1,15 @@
 //! Counts the motion core's instructions on a 32-bit machine: qemu's `virt` board executes each
 //! case in both lengths, with one count of `minstret` for each instruction (`-icount shift=0`).
-//! For each length it prints: case, size, refills, instructions of the refills, of planning, ticks of
-//! the motion.
+//! For each length it prints: case, size, words, instructions of the refills, of planning, ticks of
+//! the motion, accesses of the refills to the hardware.
 #![no_std]
 #![no_main]
 
-#[path = "../../../node-firmware/motion/benches/cases/mod.rs"]
+#[path = "../../../node-firmware/rmt/benches/cases/mod.rs"]
 #[expect(dead_code, reason = "their names and units are the PC's to print")]
 mod cases;
-#[path = "../../../node-firmware/motion/benches/sink/mod.rs"]
-mod sink;
+#[path = "../../../node-firmware/rmt/benches/run/mod.rs"]
+mod run;
 
 use core::{
     arch::{asm, global_asm},
@@ -91,7 +91,7 @@ extern "C" fn main() -> ! {
     for (index, case) in cases::CASES.iter().enumerate() {
         for size in case.sizes {
             let before = all_instructions();
-            let run = sink::execute(
+            let run = run::execute(
                 &MEMORY,
                 case.axis_count,
                 case.commands(size),
@@ -101,11 +101,12 @@ extern "C" fn main() -> ! {
             let all = all_instructions() - before;
             let _ = writeln!(
                 Serial,
-                "{index} {size} {} {} {} {}",
-                run.refills,
+                "{index} {size} {} {} {} {} {}",
+                run.words,
                 run.refill_instructions,
                 all - run.refill_instructions - run.own_instructions,
                 run.ticks,
+                run.accesses,
             );
         }
     }

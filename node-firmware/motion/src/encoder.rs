@@ -47,6 +47,28 @@ pub struct Fill {
     pub(crate) step_words: u32,
     /// That direction, +1 or -1.
     pub(crate) sign: i8,
+    /// How long the words last together, ticks.
+    pub(crate) ticks: u32,
+}
+
+impl Fill {
+    /// Returns which of the words hold a step, bit 0 the first one.
+    #[inline]
+    pub fn step_words(&self) -> u32 {
+        self.step_words
+    }
+
+    /// Returns what each of the steps adds to the count: +1 or -1.
+    #[inline]
+    pub fn sign(&self) -> i8 {
+        self.sign
+    }
+
+    /// Returns how long the words last together, ticks.
+    #[inline]
+    pub fn ticks(&self) -> u32 {
+        self.ticks
+    }
 }
 
 /// How far a turn has come.
@@ -104,6 +126,7 @@ pub(crate) struct Encoder {
     stopping_mhz: Option<u64>,
     /// Steps that it may still make.
     stopping_steps_max: u64,
+    trend: slower::Trend,
     ended: bool,
     half_before: HalfFacts,
     encoded_ticks: u64,
@@ -154,6 +177,7 @@ impl Encoder {
             turn: Turn::None,
             stopping_mhz: None,
             stopping_steps_max: 0,
+            trend: slower::Trend::NONE,
             ended: true,
             half_before: HalfFacts {
                 has_steps: false,
@@ -300,6 +324,7 @@ impl Encoder {
         self.half_before = out.facts;
         self.encoded_ticks += u64::from(out.facts.ticks);
         out.fill.sign = self.direction.map_or(1, Direction::sign);
+        out.fill.ticks = out.facts.ticks;
         out.fill
     }
 
@@ -523,6 +548,7 @@ impl Out {
                 turn: None,
                 step_words: 0,
                 sign: 1,
+                ticks: 0,
             },
             count: 0,
             facts: HalfFacts::default(),

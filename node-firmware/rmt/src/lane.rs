@@ -1,7 +1,8 @@
 //! One axis' words in the RMT's RAM: what was written, what was fetched, what was played.
 //!
 //! Words and units ([`REFILL_WORDS`] words) are counted from the start of the stream and never
-//! wrap; their place in the block is the rest of a division.
+//! wrap. Their places in the block are kept beside the counts and wrap by comparison: the refill
+//! interrupt must not divide 64 bits, which the chip does by some hundred instructions.
 //!
 //! ```text
 //!        played      prefetch     fetched                     written
@@ -23,15 +24,16 @@ const _: () = assert!(REFILL_WORDS <= 32, "a unit's steps are bits");
 
 /// Words that are left alone when a stream is cut: between reading the pointer and writing the end
 /// marker lie three accesses of some 100 ns, and the shortest word lasts 250 ns.
-const CUT_MARGIN_WORDS: u64 = 2;
+const CUT_MARGIN_WORDS: usize = 2;
 
-/// Returns how many words the transmitter has consumed, when `written` words were put into a ring
-/// of `block` words and the next one is read at `read` (0 to `block` − 1): the one number from
-/// `written` − `block` on and below `written` that agrees with `read`.
-pub const fn words_consumed(written: u64, block: u64, read: u64) -> u64 {
-    // `written` may be less than `block`, so the difference is taken modulo the block.
-    let behind = (written + 2 * block - 1 - read) % block;
-    (written - 1).saturating_sub(behind)
+/// Returns how many words lie between two places of a ring of `block` words, going forward from
+/// `from` to `to`, both below `block`: 0 to `block` − 1.
+const fn words_between(from: usize, to: usize, block: usize) -> usize {
+    if to >= from {
+        to - from
+    } else {
+        to + block - from
+    }
 }
 
 /// One unit of words.
@@ -66,7 +68,14 @@ pub(crate) struct Lane {
     prefetch_words: u64,
     units: [Unit; UNITS_MAX],
     written_units: u64,
+    /// Place of the next unit that is written: 0 to the block's units − 1.
+    next_slot: usize,
     fetched_words: u64,
+    /// Units that were fetched to their end, and the words of the one that is being fetched.
+    fetched_units: u64,
+    fetched_of_unit: usize,
+    /// Place of the word that is fetched next: 0 to the block's words − 1.
+    read_place: usize,
     /// The turns of all units below were made.
     turned_units: u64,
     /// The last turn that was not made when a stream was cut.
@@ -100,7 +109,11 @@ impl Lane {
                 end_ticks: 0,
             }; UNITS_MAX],
             written_units: 0,
+            next_slot: 0,
             fetched_words: 0,
+            fetched_units: 0,
+            fetched_of_unit: 0,
+            read_place: 0,
             turned_units: 0,
             owed_turn: None,
             started_at: 0,
@@ -132,12 +145,13 @@ impl Lane {
         (self.written_units % 2) as usize
     }
 
-    fn words(&self) -> u64 {
-        self.place.words() as u64
+    /// Words of the block.
+    fn words(&self) -> usize {
+        self.place.words()
     }
 
-    fn unit_count(&self) -> u64 {
-        self.words() / REFILL_WORDS as u64
+    fn unit_count(&self) -> usize {
+        self.words() / REFILL_WORDS
     }
 
     fn written_words(&self) -> u64 {
@@ -149,18 +163,32 @@ impl Lane {
         self.unit_count() > 2
     }
 
-    fn ram_word(&self, word: u64) -> usize {
-        self.place.first_word() + (word % self.words()) as usize
+    /// Returns the word of the RMT's RAM at a place of the block; places up to twice the block wrap.
+    fn ram_word(&self, place: usize) -> usize {
+        self.place.first_word() + place.checked_sub(self.words()).unwrap_or(place)
+    }
+
+    /// Returns the place of one of the units that the block holds.
+    fn slot(&self, unit: u64) -> usize {
+        let back = (self.written_units - unit) as usize;
+        match self.next_slot.checked_sub(back) {
+            Some(slot) => slot,
+            None => self.next_slot + self.unit_count() - back,
+        }
     }
 
     fn unit(&self, unit: u64) -> &Unit {
-        &self.units[(unit % self.unit_count()) as usize]
+        &self.units[self.slot(unit)]
     }
 
     /// Forgets the stream before; nothing plays.
     pub(crate) fn reset(&mut self) {
         self.written_units = 0;
+        self.next_slot = 0;
         self.fetched_words = 0;
+        self.fetched_units = 0;
+        self.fetched_of_unit = 0;
+        self.read_place = 0;
         self.turned_units = 0;
         self.playing = false;
     }
@@ -188,11 +216,12 @@ impl Lane {
         let mut left = ticks;
         for index in 0..REFILL_WORDS {
             let word_ticks = left / (REFILL_WORDS - index) as u64;
-            registers.write_word(self.ram_word(index as u64), Symbol::low(word_ticks).0);
+            registers.write_word(self.ram_word(index), Symbol::low(word_ticks).0);
             left -= word_ticks;
         }
-        for unit in 0..self.written_units.min(self.unit_count()) {
-            let end_ticks = &mut self.units[unit as usize].end_ticks;
+        let count = self.written_units.min(self.unit_count() as u64) as usize;
+        for unit in &mut self.units[..count] {
+            let end_ticks = &mut unit.end_ticks;
             *end_ticks = *end_ticks - before + ticks;
         }
     }
@@ -200,29 +229,38 @@ impl Lane {
     /// Reads the pointer and the counter.
     pub(crate) fn look(&mut self, registers: &impl Registers) {
         self.count(registers);
-        self.fetched_words = self.fetched_now(registers);
+        let since = self.fetched_since(registers);
+        self.fetched_words += since as u64;
+        self.read_place += since;
+        if self.read_place >= self.words() {
+            self.read_place -= self.words();
+        }
+        self.fetched_of_unit += since;
+        while self.fetched_of_unit >= REFILL_WORDS {
+            self.fetched_of_unit -= REFILL_WORDS;
+            self.fetched_units += 1;
+        }
     }
 
     /// Returns whether the unit that is read is about to be left, and that matters: some chips may
     /// raise the threshold with the unit's last word, not behind it.
     pub(crate) fn is_leaving(&self) -> bool {
-        let unit = REFILL_WORDS as u64;
-        let next = self.fetched_words / unit + 1;
+        let next = self.fetched_units + 1;
         let turn_follows = next + 1 < self.written_units && self.unit(next + 1).turn.is_some();
-        self.fetched_words % unit == unit - 1 && (turn_follows || !self.is_guarded())
+        self.fetched_of_unit == REFILL_WORDS - 1 && (turn_follows || !self.is_guarded())
     }
 
-    fn fetched_now(&self, registers: &impl Registers) -> u64 {
+    /// Returns the words that were fetched since the last look: looks follow each other faster than
+    /// a block plays.
+    fn fetched_since(&self, registers: &impl Registers) -> usize {
         if !self.playing {
-            return self.fetched_words;
+            return 0;
         }
         let status = registers.status(self.place.channel);
-        let read = status.read_word.saturating_sub(self.place.first_word()) as u64;
-        words_consumed(
-            self.fetched_words + self.words(),
-            self.words(),
-            read % self.words(),
-        )
+        let read = status.read_word.saturating_sub(self.place.first_word());
+        // The pointer may stand on the block's end before it wraps.
+        let read = if read >= self.words() { 0 } else { read };
+        words_between(self.read_place, read, self.words())
     }
 
     /// Extends the counter to 64 bits.
@@ -249,17 +287,13 @@ impl Lane {
 
     /// Returns the steps with sign of all words from this one on.
     fn steps_from(&self, word: u64) -> i64 {
-        let first = word / REFILL_WORDS as u64;
-        let oldest = self.written_units.saturating_sub(self.unit_count());
-        (first.max(oldest)..self.written_units)
+        let oldest = self.written_units.saturating_sub(self.unit_count() as u64);
+        (oldest..self.written_units)
             .map(|number| {
                 let unit = self.unit(number);
-                let skipped = if number == first {
-                    word % REFILL_WORDS as u64
-                } else {
-                    0
-                };
-                i64::from((unit.steps >> skipped).count_ones()) * i64::from(unit.sign)
+                let skipped = word.saturating_sub(number * REFILL_WORDS as u64);
+                let steps = unit.steps.checked_shr(skipped as u32).unwrap_or(0);
+                i64::from(steps.count_ones()) * i64::from(unit.sign)
             })
             .sum()
     }
@@ -269,18 +303,18 @@ impl Lane {
         if !self.is_playing(registers) {
             return 0;
         }
-        self.steps_from(self.begun_words(self.fetched_now(registers)))
+        let fetched_words = self.fetched_words + self.fetched_since(registers) as u64;
+        self.steps_from(self.begun_words(fetched_words))
     }
 
     /// Returns whether another unit can be written, given the last look. Rests are not written far
     /// ahead: what lies in the block cannot be changed any more.
     pub(crate) fn has_room(&self, now: u64, enough_ticks: u64) -> bool {
-        let fetched_units = self.fetched_words / REFILL_WORDS as u64;
-        let ahead = self.written_units.saturating_sub(fetched_units);
+        let ahead = self.written_units.saturating_sub(self.fetched_units);
         if ahead < 2 {
             return true;
         }
-        let most = self.unit_count() - u64::from(self.is_guarded());
+        let most = self.unit_count() as u64 - u64::from(self.is_guarded());
         ahead < most && self.end_at() < now.saturating_add(enough_ticks)
     }
 
@@ -292,34 +326,36 @@ impl Lane {
         }
     }
 
-    /// Writes a unit. `steps` is what it adds to the count.
+    /// Writes a unit.
     ///
     /// The first word is written last, behind which an end marker already lies: whatever the
     /// transmitter finds, it is whole or the end.
-    pub(crate) fn write(&mut self, fill: &Fill, steps: i64, registers: &mut impl Registers) {
-        let number = self.written_units;
-        let end_ticks = match number {
+    pub(crate) fn write(&mut self, fill: &Fill, registers: &mut impl Registers) {
+        let begin_ticks = match self.written_units {
             0 => 0,
-            _ => self.unit(number - 1).end_ticks,
+            number => self.unit(number - 1).end_ticks,
         };
-        let first = self.written_words();
+        let first = self.next_slot * REFILL_WORDS;
         if self.is_guarded() {
-            let guard = self.ram_word(first + REFILL_WORDS as u64);
+            let guard = self.ram_word(first + REFILL_WORDS);
             registers.write_word(guard, Symbol::END.0);
         }
-        let mut unit = Unit {
-            steps: 0,
-            sign: if steps < 0 { -1 } else { 1 },
-            turn: fill.turn,
-            end_ticks,
-        };
+        // A unit never wraps.
+        let first = self.place.first_word() + first;
         for (index, word) in fill.words.iter().enumerate().rev() {
-            registers.write_word(self.ram_word(first + index as u64), word.0);
-            unit.steps |= u32::from(word.is_step() && !word.is_end()) << index;
-            unit.end_ticks += word.ticks();
+            registers.write_word(first + index, word.0);
         }
-        self.units[(number % self.unit_count()) as usize] = unit;
+        self.units[self.next_slot] = Unit {
+            steps: fill.step_words(),
+            sign: fill.sign(),
+            turn: fill.turn,
+            end_ticks: begin_ticks + u64::from(fill.ticks()),
+        };
         self.written_units += 1;
+        self.next_slot += 1;
+        if self.next_slot == self.unit_count() {
+            self.next_slot = 0;
+        }
     }
 
     /// Judges a unit that was just written; `due_at` is when the words before it ended. To be
@@ -368,8 +404,9 @@ impl Lane {
     /// `None` if the transmitter was quicker.
     pub(crate) fn cut(&mut self, registers: &mut impl Registers) -> Option<u64> {
         self.look(registers);
-        let end = self.fetched_words + 1 + CUT_MARGIN_WORDS;
-        registers.write_word(self.ram_word(end), Symbol::END.0);
+        let ahead = 1 + CUT_MARGIN_WORDS;
+        let end = self.fetched_words + ahead as u64;
+        registers.write_word(self.ram_word(self.read_place + ahead), Symbol::END.0);
         self.look(registers);
         (self.fetched_words < end).then_some(end)
     }
@@ -399,8 +436,7 @@ impl Lane {
     /// that was not played.
     pub(crate) fn starved_at(&mut self, registers: &impl Registers) -> u64 {
         self.look(registers);
-        let unit = REFILL_WORDS as u64;
-        (self.fetched_words / unit * unit).min(self.written_words())
+        (self.fetched_units * REFILL_WORDS as u64).min(self.written_words())
     }
 }
 
@@ -409,24 +445,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_read_pointer_and_the_refills_give_the_words_consumed() {
-        for (written, block, read, consumed) in [
-            (48, 48, 17, 17),
-            (72, 48, 30, 30),
-            (72, 48, 10, 58),
-            (120, 48, 10, 106),
-            (120, 48, 40, 88),
-            (4_824, 48, 5, 4_805),
-            (48, 240, 17, 17),
-            (264, 240, 30, 30),
-            (264, 240, 10, 250),
+    fn the_read_pointer_tells_the_words_since_the_last_look_on_both_sides_of_the_wrap() {
+        for (from, to, block, words) in [
+            (0, 17, 48, 17),
+            (17, 17, 48, 0),
+            (30, 10, 48, 28),
+            (47, 0, 48, 1),
+            (0, 47, 48, 47),
+            (30, 10, 240, 220),
         ] {
-            assert_eq!(words_consumed(written, block, read), consumed);
-        }
-        for written in 48..500 {
-            for consumed in written - 48..written {
-                assert_eq!(words_consumed(written, 48, consumed % 48), consumed);
-            }
+            assert_eq!(words_between(from, to, block), words);
         }
     }
 }

@@ -31,7 +31,6 @@ pub mod registers;
 mod lane;
 mod streamer;
 
-pub use lane::words_consumed;
 pub use layout::{Layout, Place};
 pub use motion::limits::REFILL_WORDS;
 pub use registers::{ChannelConfig, ChannelStatus, Registers};

@@ -283,7 +283,7 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
         for (lane, axis) in self.lanes.iter_mut().zip(&mut self.axes) {
             lane.reset();
             let fill = axis.lead_in(lead_ticks);
-            lane.write(&fill, 0, &mut self.registers);
+            lane.write(&fill, &mut self.registers);
             write_unit(lane, axis, &mut self.registers);
         }
     }
@@ -291,11 +291,8 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
 
 /// Fills and writes the next unit of an axis.
 fn write_unit(lane: &mut Lane, axis: &mut Axis, registers: &mut impl Registers) {
-    let before = axis.ledger().booked_steps();
-    let half = lane.next_half();
-    let fill = axis.fill(half);
-    let steps = axis.ledger().booked_steps() - before;
-    lane.write(&fill, steps, registers);
+    let fill = axis.fill(lane.next_half());
+    lane.write(&fill, registers);
 }
 
 fn stop_channel(lane: &Lane, registers: &mut impl Registers) {

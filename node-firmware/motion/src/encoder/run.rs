@@ -42,13 +42,7 @@ impl Encoder {
         } else {
             let timing = &self.timing;
             let (low_min, high_min) = (timing.low_ticks_min as u32, timing.high_ticks_min as u32);
-            let word = |ticks: u32| {
-                let high = (ticks / 2)
-                    .min(high_ticks)
-                    .min(ticks - low_min)
-                    .max(high_min);
-                high | 1 << 15 | (ticks - high) << 16
-            };
+            let word = |ticks: u32| step_word(ticks, high_ticks, low_min, high_min).0;
             run_words(words, self.interval, self.change, fraction, word)
         };
         let last = words[count - 1];
@@ -66,6 +60,14 @@ impl Encoder {
         out.count += count;
         true
     }
+}
+
+/// Returns the word of a step whose interval one word holds: `high_max` ticks high if half of the
+/// interval and what the low part needs allow.
+#[inline(always)]
+pub(super) fn step_word(ticks: u32, high_max: u32, low_min: u32, high_min: u32) -> Symbol {
+    let high = (ticks / 2).min(high_max).min(ticks - low_min).max(high_min);
+    Symbol(high | 1 << 15 | (ticks - high) << 16)
 }
 
 /// What a run of words took.

@@ -111,7 +111,7 @@ fn four(index: u32, jerk_hz_per_s2: u32) -> Command {
 }
 
 /// All that is counted.
-pub(crate) const CASES: [Case; 15] = [
+pub(crate) const CASES: [Case; 16] = [
     Case {
         name: "move at 200 kHz",
         axis_count: 1,
@@ -219,6 +219,21 @@ pub(crate) const CASES: [Case; 15] = [
         count: |_| 1,
         command: |size, _| ramp(size),
         units: |size| size,
+        stops: false,
+        unit: "step",
+    },
+    Case {
+        name: "coast of a line on four axes, 200 kHz each",
+        axis_count: 4,
+        sizes: [60_000, 160_000],
+        count: |_| 1,
+        command: |size, _| Command::Line {
+            steps: [size as i32; 4],
+            speed_hz: SPEED_HZ,
+            accel_hz_per_s: ACCEL_HZ_PER_S,
+            jerk_hz_per_s2: 0,
+        },
+        units: |size| 4 * size,
         stops: false,
         unit: "step",
     },
