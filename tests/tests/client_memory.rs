@@ -1,12 +1,18 @@
 //! What the node's zenoh client asks of the heap, counted by the allocator: nothing for a message
-//! that it sends, the value for one that it receives, and less for the whole session than
-//! zenoh-pico's documented 14 KB.
+//! that it sends, the value for one that it receives, and less for the whole session with the
+//! buffers of its driver than zenoh-pico's documented 14 KB. With everything full that may ever wait
+//! it is what the limits say.
 
 use dhat::HeapStats;
-use pico::{Event, PutOptions, Session, SessionConfig};
+use pico::{Event, PutOptions, Session, SessionConfig, limits};
 
-/// Peak heap of a session with default batches, bytes.
+/// Peak heap of a session with default batches and of its driver, bytes.
 const SESSION_BYTES_MAX: usize = 14 * 1024;
+
+/// The same while the network takes nothing and the queue is full: twice the queue, see
+/// [`limits::QUEUE_KEEP_BYTES`], and what its priorities keep.
+const FULL_BYTES_MAX: usize =
+    SESSION_BYTES_MAX + 2 * limits::QUEUE_BYTES_DEFAULT + 8 * limits::QUEUE_KEEP_BYTES;
 
 #[global_allocator]
 static ALLOCATOR: dhat::Alloc = dhat::Alloc;
@@ -68,9 +74,11 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_value() {
         })
         .collect();
     let payload = [5; 1_024];
-    let mut out = Vec::with_capacity(8_192);
 
     let profiler = dhat::Profiler::builder().testing().build();
+    // What the driver has for reading and for writing.
+    let input = vec![0_u8; limits::READ_BYTES];
+    let mut out = Vec::new();
     let mut session = Session::new(SessionConfig::default(), 7);
     session.declare_subscriber(key).expect("room");
     let publisher = session.declare_publisher("fleet/node/left/status");
@@ -120,14 +128,25 @@ fn a_sent_message_takes_nothing_from_the_heap_a_received_one_its_value() {
         }
     }
     let peak_bytes = HeapStats::get().max_bytes;
+    let options = PutOptions::default();
+    let mut queued = 0;
+    while session.put(publisher, &payload, &options).is_ok() {
+        queued += 1;
+        assert!(queued < 1_000, "the queue has a bound");
+    }
+    let full_bytes = HeapStats::get().max_bytes;
     drop(profiler);
+    drop(input);
     println!(
         "for each message: sent {sent:?}, received {} (key in full) and {} (key by number); \
-         heap of a session at most {peak_bytes} bytes beside {} of itself",
+         heap of a session and its driver at most {peak_bytes} bytes beside {} of itself; \
+         {full_bytes} with {queued} messages of 1 KiB that the network does not take",
         received[0],
         received[1],
         size_of::<Session>(),
     );
     assert_eq!(received, [1, 1]);
     assert!(peak_bytes <= SESSION_BYTES_MAX, "{peak_bytes} bytes");
+    assert!(full_bytes <= FULL_BYTES_MAX, "{full_bytes} bytes");
+    assert!(queued >= 8, "{queued} messages wait");
 }

@@ -12,8 +12,8 @@
 //! of the same kind. The last column compares with the zenoh crate's default client, whose batches
 //! are the largest there are.
 //!
-//! “bare” is the same session on a thread that does nothing but block in the socket's read: the rest of
-//! its round trip is the router's and the kernel's, and no client can be quicker than that.
+//! “bare” is the same session on a thread that does nothing but block in the socket's read: what tells
+//! how much of a round trip is the runtime's.
 
 mod roundtrip;
 #[path = "../../tests/router/mod.rs"]

@@ -144,31 +144,42 @@ pub(crate) async fn measure(side: Side, payload_bytes: usize, express: bool) -> 
                 .callback(move |_| echo.put(answer.as_slice()).wait().expect("a put"))
                 .await;
             let echoing = echoing.expect("a subscriber");
-            let (came, comes) = std::sync::mpsc::channel();
+            // As ours do it: who takes a message sends the next one in the same thread.
+            let there = Arc::new(publisher(&serves, keys(true).0, express));
+            let (ended, ends) = std::sync::mpsc::channel();
+            let end = Instant::now() + ROUND;
+            let round = Arc::new(Mutex::new((Instant::now(), Vec::new())));
+            let (next, taken) = (there.clone(), round.clone());
+            let again = payload.clone();
             let listening = serves
                 .declare_subscriber(keys(true).1)
-                .callback(move |_| came.send(()).expect("somebody waits"))
+                .callback(move |_| {
+                    let mut round = taken.lock().expect("no panic");
+                    let (sent_at, times) = &mut *round;
+                    times.push(sent_at.elapsed().as_secs_f64() * 1e6);
+                    *sent_at = Instant::now();
+                    drop(round);
+                    if Instant::now() < end {
+                        next.put(again.as_slice()).wait().expect("a put");
+                    } else {
+                        // Nobody waits any more if it took too long.
+                        let _ = ended.send(());
+                    }
+                })
                 .await;
             let listening = listening.expect("a subscriber");
-            let there = publisher(&serves, keys(true).0, express);
-            let times = tokio::task::spawn_blocking(move || {
+            let over = tokio::task::spawn_blocking(move || {
                 // Until both sides know of each other a put may reach nobody.
                 while !there.matching_status().wait().expect("open").matching() {
                     std::thread::yield_now();
                 }
-                let end = Instant::now() + ROUND;
-                let mut times = Vec::new();
-                while Instant::now() < end {
-                    let sent_at = Instant::now();
-                    there.put(payload.as_slice()).wait().expect("a put");
-                    if comes.recv_timeout(PATIENCE).is_err() {
-                        panic!("nothing comes back");
-                    }
-                    times.push(sent_at.elapsed().as_secs_f64() * 1e6);
-                }
-                times
+                round.lock().expect("no panic").0 = Instant::now();
+                there.put(payload.as_slice()).wait().expect("a put");
+                ends.recv_timeout(ROUND + PATIENCE)
+                    .expect("the last one comes back");
+                std::mem::take(&mut round.lock().expect("no panic").1)
             });
-            let times = times.await.expect("joined");
+            let times = over.await.expect("joined");
             drop((echoing, listening));
             times
         }
