@@ -102,7 +102,8 @@ pub struct VirtualRmt {
     fault: Option<FaultCode>,
     /// When the planner runs that an axis waits for.
     plan_at: Option<u64>,
-    /// Words were played twice: until the next halt only the counter knows the count.
+    /// Words were played twice, or a direction came too late for its driver: until the next halt only
+    /// the counter knows the count.
     lapped: bool,
     record: bool,
     edges: Vec<PinEvent>,
@@ -373,6 +374,11 @@ impl VirtualRmt {
                 inverted,
                 &mut scope,
             );
+            // The half that plays is the rest around the turn; behind it comes what was filled.
+            let by = channel
+                .half_end
+                .map(|end| end.saturating_add_signed(fill.turn_by_ticks.into()));
+            self.lapped |= by.is_some_and(|by| refill.at > by);
         }
         channel.load(refill.half, &fill);
         Some(refill.at)

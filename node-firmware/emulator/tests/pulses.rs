@@ -260,6 +260,24 @@ fn a_late_refill_stops_everything_and_the_position_is_that_of_the_counter() {
 }
 
 #[test]
+fn a_refill_that_turns_the_motor_too_late_for_its_driver_stops_everything() {
+    let fault_of = |refill_us: u64| {
+        let mut config = config();
+        config.rmt.refill_ticks_min = 16 * refill_us;
+        config.rmt.refill_ticks_max = 16 * refill_us;
+        let mut bench = Bench::new(config);
+        bench.order((0..10).map(|index| steps(X, 20, if index % 2 == 0 { 100 } else { -100 })));
+        bench.run_until(200_000);
+        let status = bench.node.status();
+        assert_eq!(status.axes[0].position_steps, bench.node.step_count(X));
+        status.faults.first().map(|fault| fault.code)
+    };
+    // The window is 50 µs and the driver's 10 µs of setup.
+    assert_eq!(fault_of(50), None);
+    assert_eq!(fault_of(55), Some(FaultCode::REFILL_LATE));
+}
+
+#[test]
 fn a_refill_within_its_deadline_changes_nothing() {
     let mut config = config();
     // 24 steps of 10 µs are 240 µs.

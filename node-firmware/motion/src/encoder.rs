@@ -43,6 +43,9 @@ pub struct Fill {
     pub words: [Symbol; REFILL_WORDS],
     /// The direction pin takes this level now, before anything of `words` is played.
     pub turn: Option<Direction>,
+    /// When the pin must have it at the latest, for the driver's setup time: ticks after the first of
+    /// `words` begins, mostly before it.
+    pub turn_by_ticks: i32,
     /// Which of the words hold a step, bit 0 the first one; all of them in one direction.
     pub(crate) step_words: u32,
     /// That direction, +1 or -1.
@@ -324,6 +327,12 @@ impl Encoder {
         self.half_before = out.facts;
         self.encoded_ticks += u64::from(out.facts.ticks);
         out.fill.sign = self.direction.map_or(1, Direction::sign);
+        if out.fill.turn.is_some() {
+            let first_step = (out.fill.step_words.trailing_zeros() as usize).min(REFILL_WORDS);
+            let rest = out.fill.words[..first_step].iter();
+            let rest_ticks: u64 = rest.map(|word| word.ticks()).sum();
+            out.fill.turn_by_ticks = rest_ticks as i32 - self.timing.setup_ticks as i32;
+        }
         out.fill.ticks = out.facts.ticks;
         out.fill
     }
@@ -546,6 +555,7 @@ impl Out {
             fill: Fill {
                 words: [Symbol::END; REFILL_WORDS],
                 turn: None,
+                turn_by_ticks: 0,
                 step_words: 0,
                 sign: 1,
                 ticks: 0,

@@ -43,8 +43,10 @@ struct Unit {
     steps: u32,
     /// What each of them adds to the count.
     sign: i8,
-    /// The direction pin changes before the first of them.
+    /// The direction pin changes before the first of them steps: so many ticks after it begins at the
+    /// latest.
     turn: Option<Direction>,
+    turn_by_ticks: i32,
     /// When it ends, ticks after the start.
     end_ticks: u64,
 }
@@ -56,7 +58,8 @@ pub(crate) enum Course {
     Good,
     /// The direction pin is due with a word that was fetched and does not play yet.
     Soon,
-    /// Words were, or may have been, played before they were written.
+    /// Words were, or may have been, played before they were written; or the direction pin was
+    /// switched later than its driver allows.
     Late,
 }
 
@@ -106,6 +109,7 @@ impl Lane {
                 steps: 0,
                 sign: 1,
                 turn: None,
+                turn_by_ticks: 0,
                 end_ticks: 0,
             }; UNITS_MAX],
             written_units: 0,
@@ -349,6 +353,7 @@ impl Lane {
             steps: fill.step_words(),
             sign: fill.sign(),
             turn: fill.turn,
+            turn_by_ticks: fill.turn_by_ticks,
             end_ticks: begin_ticks + u64::from(fill.ticks()),
         };
         self.written_units += 1;
@@ -392,8 +397,9 @@ impl Lane {
             }
             registers.set_direction(self.axis, direction == Direction::Positive);
             self.turned_units += 1;
-            self.look(registers);
-            if self.fetched_words >= window + REFILL_WORDS as u64 {
+            let begins_at = self.started_at + self.unit(number - 1).end_ticks;
+            let by = begins_at.saturating_add_signed(self.unit(number).turn_by_ticks.into());
+            if registers.now() > by {
                 return Course::Late;
             }
         }

@@ -219,6 +219,36 @@ fn a_borrowed_block_that_runs_dry_ends_and_needs_no_counter_to_know_the_count() 
 }
 
 #[test]
+fn a_direction_that_is_switched_too_late_for_its_driver_is_a_fault_and_never_a_wrong_step() {
+    // The window around a turn lasts 50 µs and the driver's setup time; the interrupt comes up to so
+    // many ticks late.
+    let turned = |latest_ticks: u64| {
+        let lateness = Lateness {
+            interrupt_ticks_min: latest_ticks,
+            interrupt_ticks_max: latest_ticks,
+            ..Lateness::default()
+        };
+        let places = Layout::FOUR.places::<4>();
+        let mut bench = Bench::new(Rig::new(Silicon::default(), lateness, places, 1), 4);
+        let back_and_forth = (0..10).map(|index| Command::Move {
+            axis: X,
+            delay_us: 20,
+            steps: if index % 2 == 0 { 100 } else { -100 },
+        });
+        bench.order(back_and_forth);
+        bench.run_to_rest();
+        bench
+    };
+    let in_time = turned(motion::limits::TURN_LATENCY_TICKS - 100);
+    assert_eq!(in_time.fault(), None);
+    let setup_ticks = u64::from(motion::AxisProfile::default().dir_setup_ns) * 16 / 1_000;
+    let late = turned(motion::limits::TURN_LATENCY_TICKS + setup_ticks / 2);
+    assert_eq!(late.fault(), Some(FaultCode::REFILL_LATE));
+    let backend = late.motion.backend();
+    assert_eq!(backend.played_steps(X), backend.model.borrow().steps[0]);
+}
+
+#[test]
 fn a_start_that_comes_too_late_moves_nothing() {
     let rig = Rig::new(
         Silicon::default(),

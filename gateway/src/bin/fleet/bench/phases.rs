@@ -26,8 +26,9 @@ use zenoh::bytes::Encoding;
 /// Jobs that are on their way to the gateway at the same time.
 const CLIENTS: usize = 64;
 
-/// Commands of all jobs of [`batches`] together.
-const COMMANDS: usize = 400_000;
+/// Commands of all jobs of [`batches`] together: ten times what the rings of a hundred nodes hold, so
+/// that credit and not the first burst is measured.
+const COMMANDS: usize = 4_000_000;
 
 /// Most commands of one of these jobs.
 const COMMANDS_EACH_MAX: usize = 50_000;
