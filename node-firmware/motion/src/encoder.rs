@@ -30,7 +30,10 @@ mod run;
 mod slower;
 
 use crate::{
-    limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
+    limits::{
+        LOW_WORD_TICKS_MAX, PART_BEFORE_END_TICKS_MIN, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ,
+        WORD_TICKS_MIN,
+    },
     profile::Timing,
     segment::{Direction, FRACTION_BITS, Segment, SegmentRing},
     symbol::Symbol,
@@ -132,6 +135,8 @@ pub(crate) struct Encoder {
     trend: slower::Trend,
     ended: bool,
     half_before: HalfFacts,
+    /// The last half of the last word of that, ticks.
+    last_part_ticks: u32,
     encoded_ticks: u64,
     /// Longest rest in one word of this fill.
     low_word_ticks: u64,
@@ -186,6 +191,7 @@ impl Encoder {
                 has_steps: false,
                 ticks: 0,
             },
+            last_part_ticks: 0,
             encoded_ticks: 0,
             low_word_ticks: LOW_WORD_TICKS_MAX,
         }
@@ -325,6 +331,7 @@ impl Encoder {
 
     fn finish(&mut self, mut out: Out) -> Fill {
         self.half_before = out.facts;
+        self.last_part_ticks = out.fill.words[REFILL_WORDS - 1].second().0 as u32;
         self.encoded_ticks += u64::from(out.facts.ticks);
         out.fill.sign = self.direction.map_or(1, Direction::sign);
         if out.fill.turn.is_some() {
@@ -542,6 +549,16 @@ impl Encoder {
         if missing > 0 {
             self.low_ticks = missing.max(WORD_TICKS_MIN);
             self.write_low(self.low_ticks.min(LOW_WORD_TICKS_MAX), out);
+            return;
+        }
+        let last_part_ticks = match out.count {
+            0 => u64::from(self.last_part_ticks),
+            count => out.fill.words[count - 1].second().0,
+        };
+        if last_part_ticks < PART_BEFORE_END_TICKS_MIN {
+            let word = Symbol::low(2 * PART_BEFORE_END_TICKS_MIN);
+            out.push(word);
+            self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(word.ticks());
             return;
         }
         out.push(Symbol::END);

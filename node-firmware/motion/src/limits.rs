@@ -23,6 +23,10 @@ pub const PART_TICKS_MAX: u64 = 32_767;
 /// Shortest half of a symbol: 125 ns.
 pub const PART_TICKS_MIN: u64 = 2;
 
+/// Shortest half of a symbol before an end marker: 250 ns (ESP32-S3 TRM §37.3:
+/// 6·T_apb + 12·T_sclk < period, 225 ns at 80 MHz; said of continuous mode, kept in every mode).
+pub const PART_BEFORE_END_TICKS_MIN: u64 = 4;
+
 /// Shortest symbol.
 pub const WORD_TICKS_MIN: u64 = 2 * PART_TICKS_MIN;
 

@@ -117,7 +117,7 @@ mod tests {
     use super::*;
     use crate::{
         AxisProfile,
-        limits::TICK_HZ,
+        limits::{PART_BEFORE_END_TICKS_MIN, REFILL_WORDS, TICK_HZ},
         profile::Timing,
         segment::{Segment, SegmentRing},
     };
@@ -130,8 +130,16 @@ mod tests {
         let mut encoder = Encoder::new(Timing::from(profile));
         encoder.lead_in(10_000);
         let (mut edges, mut at) = (Vec::new(), 0);
+        let mut last_part_ticks = u64::MAX;
         while !encoder.has_ended() {
             let fill = encoder.fill(&mut segments, u64::MAX);
+            let end = fill.words.iter().position(|word| word.is_end());
+            for word in &fill.words[..end.unwrap_or(REFILL_WORDS)] {
+                last_part_ticks = word.second().0;
+            }
+            if end.is_some() {
+                assert!(last_part_ticks >= PART_BEFORE_END_TICKS_MIN, "{segment:?}");
+            }
             for (index, word) in fill
                 .words
                 .iter()
