@@ -81,6 +81,91 @@ fn lines_that_stop_coming_end_at_rest_on_a_planned_ramp_and_go_on_later() {
     bench.judged();
 }
 
+/// A node whose planner comes up to 10 s too late.
+fn starving(commands: impl IntoIterator<Item = Command>) -> Bench {
+    let mut config = config();
+    config.rmt.plan_ticks_max = 10_000_000 * 16;
+    let mut bench = Bench::new(config);
+    bench.order(commands);
+    bench.now.0 += 1_000;
+    while bench.node.status().state != NodeState::Fault {
+        let due = bench.node.poll_timeout().expect("something is due");
+        bench.now = bench.now.max(due);
+        assert!(bench.now.0 < 400_000_000, "it comes in time");
+        bench.node.poll(bench.now);
+        bench.drain();
+    }
+    let fault = bench.node.status().faults.last().map(|fault| fault.code);
+    assert_eq!(fault, Some(FaultCode::PLAN_LATE));
+    bench
+}
+
+/// From full run to rest by this deceleration, and no harder; every step counts. Returns the greatest
+/// speed.
+fn rests(bench: &Bench, axis: AxisId, accel: f64) -> f64 {
+    let life = bench.node.life();
+    let steps = steps_of(&life, axis);
+    let made: i64 = steps.iter().map(|step| step.1).sum();
+    assert_eq!(bench.position(axis), made);
+    assert_eq!(bench.node.step_count(axis), bench.position(axis));
+    // The speed is taken from one interval, in whole ticks.
+    keeps_limits(&life, axis, 100_000.0, accel * 1.02, 0.0, "starved");
+    let speeds: Vec<f64> = steps
+        .windows(2)
+        .map(|pair| 1.0 / (pair[1].0 - pair[0].0))
+        .collect();
+    // Three steps from rest at most: v² = 2·a·s.
+    let last = speeds[speeds.len() - 1];
+    assert!(last <= (6.0 * accel).sqrt(), "it ends at {last} Hz");
+    speeds.into_iter().fold(0.0, f64::max)
+}
+
+#[test]
+fn a_planner_that_comes_too_late_finds_the_axes_at_rest_on_a_ramp_and_every_step_counted() {
+    // So slow a ramp needs more segments than there is room for.
+    let slow = keys::command::Ramp {
+        speed_hz: 20_000,
+        accel_hz_per_s: 100,
+        shape: keys::command::RampShape::Trapezoid {
+            linear_steps: 0,
+            jump_steps: 0,
+        },
+    };
+    let bench = starving([Command::Ramp {
+        axis: X,
+        steps: 1_000_000,
+        ramp: slow,
+    }]);
+    assert!(rests(&bench, X, 100.0) > 50.0);
+    // Of short lines in a row, too: each axis by its own share.
+    let line = Command::Line {
+        steps: [500, 250, 0, 0],
+        speed_hz: 50_000,
+        accel_hz_per_s: 2_000,
+        jerk_hz_per_s2: 0,
+    };
+    let bench = starving([line; 400]);
+    assert!(rests(&bench, X, 2_000.0) > 1_000.0);
+    rests(&bench, Y, 1_000.0);
+    assert!(bench.position(X) < 200_000, "all of it was made");
+    // Drives rest likewise.
+    let mut config = config();
+    config.rmt.plan_ticks_max = 10_000_000 * 16;
+    let mut bench = Bench::new(config);
+    let motion = bench.node.node_mut().motion_mut();
+    let forever = motion::Target::Forever(motion::Direction::Negative);
+    let course = motion::Course::hz(20_000, 100);
+    motion.drive(X, forever, course).expect("free");
+    for _ in 0..100 {
+        // Nobody looks at it for 3 s.
+        bench.now.0 += 3_000_000;
+        bench.node.poll(bench.now);
+    }
+    let fault = bench.node.status().faults.last().map(|fault| fault.code);
+    assert_eq!(fault, Some(FaultCode::PLAN_LATE));
+    assert!(rests(&bench, X, 100.0) > 50.0);
+}
+
 #[test]
 fn commands_that_come_in_bits_at_random_times_cost_no_step_and_keep_every_limit() {
     let (mut dry, mut fed) = (0, 0);

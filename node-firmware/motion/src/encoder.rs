@@ -25,6 +25,10 @@
 //! **Controlled stop.** v² falls by 2a with each step (constant deceleration), the interval between
 //! two steps is 2 / (v₀ + v₁): exact for constant deceleration, one integer root a step. It goes
 //! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
+//!
+//! **No plan.** Where the planner comes too late, the segments end in full run. For that the planner
+//! leaves a brake with every part of a path that it writes: the axis slows down as in a controlled
+//! stop, by the path's own acceleration and on the path's own way.
 
 mod run;
 mod slower;
@@ -57,6 +61,15 @@ enum Turn {
     Filling,
     /// The window is written: the next refill switches the pin.
     Due,
+}
+
+/// How to slow down where the plan ends in full run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Brake {
+    /// Deceleration, steps/s², from 1.
+    pub(crate) accel_hz_per_s: u32,
+    /// Steps of the path that the axis has still before it, in the same direction.
+    pub(crate) steps_max: u64,
 }
 
 /// Where another plan goes on.
@@ -100,6 +113,12 @@ pub(crate) struct Encoder {
     /// Rest since the last step's high time, saturating.
     low_ticks_since_step: u64,
     turn: Turn,
+    /// How to slow down if the plan ends here.
+    brake: Option<Brake>,
+    /// It ended in full run, and the brake was taken.
+    starved: bool,
+    /// Deceleration of a controlled stop, steps/s²; `None`: that of the profile.
+    stop_accel_hz_per_s: Option<u32>,
     /// Speed of a controlled stop, mHz.
     stopping_mhz: Option<u64>,
     /// Steps that it may still make.
@@ -152,6 +171,9 @@ impl Encoder {
             resting: true,
             low_ticks_since_step: u64::MAX,
             turn: Turn::None,
+            brake: None,
+            starved: false,
+            stop_accel_hz_per_s: None,
             stopping_mhz: None,
             stopping_steps_max: 0,
             ended: true,
@@ -233,6 +255,7 @@ impl Encoder {
             _ => None,
         };
         segments.clear();
+        self.brake = None;
         self.steps_left = 0;
         self.low_ticks = self.kept_ticks();
         match turn {
@@ -326,6 +349,7 @@ impl Encoder {
                 self.resting = true;
             }
             Some(Segment::Turn { .. }) => self.begin_turn(segments, out),
+            None if self.starve() => {}
             None => self.end(out),
         }
     }

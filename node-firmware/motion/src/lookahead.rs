@@ -204,6 +204,11 @@ impl LookAhead {
         }
     }
 
+    /// Returns the lines that are known behind the present one.
+    pub(crate) fn lines(&self) -> impl Iterator<Item = &Line> {
+        (0..self.count).map(|index| &self.known(index).line)
+    }
+
     fn place(&self, index: usize) -> usize {
         (self.first + index) % LINES_MAX
     }

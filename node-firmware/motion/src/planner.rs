@@ -24,6 +24,7 @@ use crate::{
 };
 use keys::Command;
 
+mod brake;
 mod change;
 mod raw;
 mod stretch;

@@ -25,12 +25,21 @@ impl<B: StepBackend> Motion<'_, B> {
         if self.phase == Phase::Stopped {
             return;
         }
+        if self.phase != Phase::Rest && self.is_starved() {
+            // What is left of the plan is left out: one axis slows down already.
+            for axis in &mut self.backend.axes()[..self.axis_count] {
+                axis.decelerate();
+            }
+            return;
+        }
         if self.is_driving() {
             let lead_ticks = self.lead_ticks;
             if let Some(at) = self.plan_drives(lead_ticks) {
                 self.started_at = at;
                 self.backend.start(at, lead_ticks);
             }
+            let axes = &mut self.backend.axes()[..self.axis_count];
+            self.planner.leave_way_brakes(axes);
             return;
         }
         self.pass_change();
@@ -159,6 +168,8 @@ impl<B: StepBackend> Motion<'_, B> {
             self.backend.start(at, lead_ticks);
             self.give_laser_back();
         }
+        let axes = &mut self.backend.axes()[..self.axis_count];
+        self.planner.leave_brakes(axes);
     }
 
     /// Returns whether a command begins only when all before it has ended.

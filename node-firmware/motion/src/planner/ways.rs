@@ -34,7 +34,7 @@ const WAY_STRETCHES_MAX: usize = 6;
 const _: () = assert!(CHANNELS * WAY_STRETCHES_MAX <= STRETCHES_MAX);
 
 /// Returns where the stretches of an axis lie among all.
-const fn room_of(index: usize) -> core::ops::Range<usize> {
+pub(super) const fn room_of(index: usize) -> core::ops::Range<usize> {
     index * WAY_STRETCHES_MAX..(index + 1) * WAY_STRETCHES_MAX
 }
 
@@ -167,6 +167,14 @@ impl Way {
             self.steps = Some(steps);
             self.writing += 1;
         }
+    }
+
+    /// Returns the stretch that is being written, and how many of its edges are left; `None`: all
+    /// are written, to rest.
+    pub(super) fn left<'r>(&self, room: &'r [Option<Stretch>]) -> Option<(&'r Stretch, u64)> {
+        let steps = self.steps.as_ref()?;
+        let stretch = room[self.writing.checked_sub(1)?].as_ref()?;
+        Some((stretch, steps.left(0)))
     }
 
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
