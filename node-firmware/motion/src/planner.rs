@@ -33,7 +33,7 @@ mod ways;
 pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
 pub(crate) use ways::Left;
 
-use stretch::{Goal, Stretch};
+use stretch::{Ease, Goal, Stretch};
 use ways::Way;
 
 /// What is known of a ramp or line when it begins.
@@ -413,7 +413,7 @@ impl Planner {
         let share = self.share();
         line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
         let goal = if self.holding {
-            Goal::Rest
+            Goal::Rest(Ease::of(&line, from, behind))
         } else {
             let within = |mut line: Line| {
                 line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));

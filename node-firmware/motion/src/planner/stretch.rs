@@ -9,6 +9,7 @@ use crate::{
     real::Real,
     steps::{Exit, Moment, Steps},
 };
+use keys::Command;
 
 /// What a stretch of path does at its end.
 #[derive(Clone, Copy, Debug)]
@@ -16,7 +17,51 @@ pub(super) enum Goal {
     /// It makes the line's way and leaves it at this speed.
     Leave(Real),
     /// It comes to rest as soon as the law allows, or leaves the line slowing down.
-    Rest,
+    Rest(Ease),
+}
+
+/// Limits of a braking that leads over corners, in the measure of its first line: those of all lines
+/// that it may reach. An S-curve's braking that was begun harder could not end as softly as
+/// the next line wants it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ease {
+    accel_max: Real,
+    jerk_max: Real,
+}
+
+impl Ease {
+    /// Looks at the lines behind `line`, which is left in this state, as far as it is needed.
+    pub(super) fn of(line: &Line, from: State, behind: impl Iterator<Item = Command>) -> Self {
+        let Some(jerk) = line.law.jerk() else {
+            return Self {
+                accel_max: line.law.accel(),
+                jerk_max: Real::ZERO,
+            };
+        };
+        let mut ease = Self {
+            accel_max: line.law.accel(),
+            jerk_max: jerk,
+        };
+        let mut way = Real::of(line.major_steps);
+        for next in behind.map_while(|command| Line::of(&command)) {
+            let mut path = Path::at(from);
+            path.come_to_rest(&ease.law(line));
+            if path.end_steps() <= way {
+                break;
+            }
+            let share = next.stretch / line.stretch;
+            if let Some(jerk) = next.law.jerk() {
+                ease.accel_max = ease.accel_max.min(next.law.accel() * share);
+                ease.jerk_max = ease.jerk_max.min(jerk * share);
+            }
+            way = way + Real::of(next.major_steps) * share;
+        }
+        ease
+    }
+
+    fn law(&self, line: &Line) -> Law {
+        line.law.eased(self.accel_max, self.jerk_max)
+    }
 }
 
 /// A stretch of path: a line, or a part of one where it was changed in flight. Small, so that many
@@ -48,7 +93,7 @@ impl Stretch {
                     .or_else(|_| Path::plan(self.from, way, self.from.speed, most, law))
                     .unwrap_or_else(|_| slow_down(self.from, way, law))
             }
-            Goal::Rest => slow_down(self.from, way, law),
+            Goal::Rest(ease) => slow_down(self.from, way, &ease.law(&self.line)),
         };
         if let Some(ticks) = self.until {
             path.cut(ticks);

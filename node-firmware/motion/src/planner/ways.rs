@@ -10,8 +10,8 @@
 //! anew on that axis only.
 
 use super::{
-    CUT_MARGIN_TICKS, Goal, Made, Planner, STRETCHES_MAX, Split, Stretch, Tail, WAY_STEPS_MAX,
-    timing_of,
+    CUT_MARGIN_TICKS, Ease, Goal, Made, Planner, STRETCHES_MAX, Split, Stretch, Tail,
+    WAY_STEPS_MAX, timing_of,
 };
 use crate::{
     axis::Axis,
@@ -448,7 +448,7 @@ impl Planner {
             line: self.within(line, &timing[..axes.len()]),
             from: split.from,
             goal: if to_rest {
-                Goal::Rest
+                Goal::Rest(Ease::of(&split.line, split.from, core::iter::empty()))
             } else {
                 Goal::Leave(Real::ZERO)
             },
