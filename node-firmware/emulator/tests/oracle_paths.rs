@@ -534,6 +534,32 @@ fn a_line_that_is_stopped_stays_on_its_path() {
 }
 
 #[test]
+fn joined_lines_may_be_stopped_before_their_first_step_and_make_it_late() {
+    let lines = [
+        line([600, 0, 150, 0], 5_000, 1_000),
+        line([600, 0, 200, 0], 5_000, 1_000),
+    ];
+    let drawn = |delay: u64| {
+        let mut drawing = Drawing::new();
+        drawing.draw(Command::Move {
+            axis: Y,
+            delay_us: 500,
+            steps: 30,
+        });
+        let begin = drawing.now;
+        drawing.join(&lines, &[100.0]);
+        // The first step is due after 31.6 ms; by then it slows down since 25 ms.
+        drawing.stop(begin + 23 * 16_000, begin, 1);
+        let at = begin + 25 * 16_000 + delay;
+        drawing.brake(at, &[600, 0, 150, 0], 0.3125, 25.0, 1_000.0);
+        drawing
+    };
+    let drawing = drawn(0);
+    assert_eq!(drawing.strokes.len(), 31);
+    passes(&drawing);
+}
+
+#[test]
 fn joined_lines_that_are_stopped_come_to_rest_on_their_path() {
     let draw = |late_s: f64, accel: f64| {
         let half = [9_000, 0, 0, 0];
