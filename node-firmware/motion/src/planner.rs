@@ -359,7 +359,7 @@ impl Planner {
         &mut self,
         line: Line,
         jump_steps: u16,
-        behind: impl Iterator<Item = Command>,
+        behind: impl Iterator<Item = Command> + Clone,
         begin: u64,
         base_steps: [i64; CHANNELS],
         axes: &[Axis],
@@ -402,7 +402,7 @@ impl Planner {
         &mut self,
         mut line: Line,
         from: State,
-        behind: impl Iterator<Item = Command>,
+        behind: impl Iterator<Item = Command> + Clone,
         begin: Moment,
         moving: bool,
         base_steps: [i64; CHANNELS],
@@ -412,13 +412,17 @@ impl Planner {
         let timing = &timing[..axes.len()];
         let share = self.share();
         line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
-        let goal = if self.holding {
-            Goal::Rest(Ease::of(&line, from, behind))
+        let within = |mut line: Line| {
+            line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
+            line
+        };
+        let goal = if self.holding && line.law.jerk().is_none() {
+            Goal::Rest(Ease::none(&line))
+        } else if self.holding {
+            let exit_speed = self.ahead.exit_speed(&line, behind.clone(), within, timing);
+            self.ahead.clear();
+            Goal::Rest(Ease::of(&line, from, exit_speed, behind))
         } else {
-            let within = |mut line: Line| {
-                line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
-                line
-            };
             let way = Real::of(line.major_steps) - from.place;
             // No faster than can be reached within the line.
             let reached = Path::speed_reached(from, way, line.speed_max, &line.law);

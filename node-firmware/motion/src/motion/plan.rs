@@ -298,7 +298,7 @@ pub(super) fn lines_behind<'r>(
     count: usize,
     lidar_waits: bool,
     turns: Turns,
-) -> impl Iterator<Item = Command> + use<'r> {
+) -> impl Iterator<Item = Command> + Clone + use<'r> {
     let all = (count..).map_while(|index| ring.peek_at(index));
     all.take(LOOK_COMMANDS_MAX)
         .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))

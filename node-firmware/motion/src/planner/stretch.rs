@@ -30,19 +30,30 @@ pub(super) struct Ease {
 }
 
 impl Ease {
-    /// Looks at the lines behind `line`, which is left in this state, as far as it is needed.
-    pub(super) fn of(line: &Line, from: State, behind: impl Iterator<Item = Command>) -> Self {
-        let Some(jerk) = line.law.jerk() else {
-            return Self {
-                accel_max: line.law.accel(),
-                jerk_max: Real::ZERO,
-            };
-        };
-        let mut ease = Self {
+    /// None: a line's own limits.
+    pub(super) fn none(line: &Line) -> Self {
+        Self {
             accel_max: line.law.accel(),
-            jerk_max: jerk,
-        };
-        let mut way = Real::of(line.major_steps);
+            jerk_max: line.law.jerk().unwrap_or(Real::ZERO),
+        }
+    }
+
+    /// Looks at the lines behind `line`, which is left in this state, as far as it is needed. It
+    /// may be left at `exit_speed` at most: where a softer braking is faster than that at the
+    /// corner, it brakes by its own limits.
+    pub(super) fn of(
+        line: &Line,
+        from: State,
+        exit_speed: Real,
+        behind: impl Iterator<Item = Command>,
+    ) -> Self {
+        let own = Self::none(line);
+        if line.law.jerk().is_none() {
+            return own;
+        }
+        let mut ease = own;
+        let whole = Real::of(line.major_steps);
+        let mut way = whole;
         for next in behind.map_while(|command| Line::of(&command)) {
             let mut path = Path::at(from);
             path.come_to_rest(&ease.law(line));
@@ -55,6 +66,13 @@ impl Ease {
                 ease.jerk_max = ease.jerk_max.min(jerk * share);
             }
             way = way + Real::of(next.major_steps) * share;
+        }
+        if way > whole {
+            let path = slow_down(from, whole, &ease.law(line));
+            let speed = path.end_state().speed;
+            if speed > exit_speed + exit_speed.shifted(-SLACK_BITS) {
+                return own;
+            }
         }
         ease
     }
@@ -129,6 +147,9 @@ impl Stretch {
         )
     }
 }
+
+/// Speeds that differ by less than 2⁻³⁰ of them are the same.
+const SLACK_BITS: i32 = 30;
 
 /// Comes to rest, at the latest where the line ends.
 fn slow_down(from: State, way: Real, law: &Law) -> Path {

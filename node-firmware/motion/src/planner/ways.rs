@@ -448,7 +448,7 @@ impl Planner {
             line: self.within(line, &timing[..axes.len()]),
             from: split.from,
             goal: if to_rest {
-                Goal::Rest(Ease::of(&split.line, split.from, core::iter::empty()))
+                Goal::Rest(Ease::none(&split.line))
             } else {
                 Goal::Leave(Real::ZERO)
             },
