@@ -34,7 +34,10 @@ mod run;
 mod slower;
 
 use crate::{
-    limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
+    limits::{
+        LOW_WORD_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ,
+        WORD_TICKS_MIN,
+    },
     profile::Timing,
     segment::{Direction, FRACTION_BITS, Segment, SegmentRing},
     symbol::Symbol,
@@ -366,7 +369,10 @@ impl Encoder {
             self.speed_ticks = self.interval_ticks;
         }
         if goes_on {
+            // What is left of a long low time is rest in other words.
+            let most = LOW_WORD_TICKS_MAX.saturating_sub(high_ticks);
             let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
+            let in_word = in_word.min(most).max(PART_TICKS_MIN);
             self.write_step(high_ticks, low_ticks, in_word, out);
         } else {
             // What follows may be a turn: it wants the hold time in this word and all the rest
@@ -406,7 +412,7 @@ impl Encoder {
         let owed = low_ticks - in_word;
         if owed > 0 && owed < WORD_TICKS_MIN {
             // Less than a word: the two parts share it.
-            in_word = if in_word > WORD_TICKS_MIN + self.timing.low_ticks_min {
+            in_word = if in_word >= WORD_TICKS_MIN + PART_TICKS_MIN {
                 in_word - WORD_TICKS_MIN
             } else {
                 low_ticks

@@ -3,7 +3,7 @@
 
 use super::{Brake, Encoder, Out, Turn};
 use crate::{
-    limits::{LOW_WORD_TICKS_MAX, TICK_HZ, WORD_TICKS_MIN},
+    limits::{LOW_WORD_TICKS_MAX, PART_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
     symbol::Symbol,
 };
 
@@ -84,7 +84,9 @@ impl Encoder {
         self.write_step(
             high_ticks,
             interval_ticks - high_ticks,
-            LOW_WORD_TICKS_MAX,
+            LOW_WORD_TICKS_MAX
+                .saturating_sub(high_ticks)
+                .max(PART_TICKS_MIN),
             out,
         );
     }
@@ -92,8 +94,8 @@ impl Encoder {
     /// Writes steps of a controlled stop, as many as there is room for: those that need one word
     /// each and lose little speed. Returns whether there were any.
     pub(super) fn slower_run(&mut self, speed_mhz: u64, out: &mut Out) -> bool {
-        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min) as u32;
-        let most_ticks = in_word + self.timing.high_ticks_min as u32;
+        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
+        let most_ticks = (in_word + self.timing.high_ticks_min).min(LOW_WORD_TICKS_MAX) as u32;
         let lost = self.lost_speed();
         let before = out.count;
         let Ok(mut speed) = u32::try_from(speed_mhz) else {
