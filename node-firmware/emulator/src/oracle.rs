@@ -89,15 +89,13 @@ pub struct Limits {
     pub junction_hz: u32,
     /// How far an edge of the record may lie off, ticks: 0 for what an emulated pin did.
     pub sample_ticks: u64,
-    /// A path decelerates this long after a stop, ticks, …
+    /// A path decelerates this long after a stop, ticks.
     pub stop_begin_ticks: u64,
-    /// … and after what the pulse hardware holds of each axis, steps.
-    pub stop_begin_steps: u64,
 }
 
 impl Default for Limits {
     /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn adds less than
-    /// 100 µs; commands are wanted 25 ms ahead; a block of the pulse hardware holds 48 steps.
+    /// 100 µs; commands are wanted 25 ms ahead; a stop takes effect within 2 ms.
     fn default() -> Self {
         Self {
             high_ticks_min: 8,
@@ -111,7 +109,6 @@ impl Default for Limits {
             junction_hz: 200,
             sample_ticks: 0,
             stop_begin_ticks: 2_000 * TICKS_PER_US,
-            stop_begin_steps: 48,
         }
     }
 }

@@ -393,19 +393,10 @@ impl<'p> Track<'p> {
         faults
     }
 
-    /// After a stop, what a block of the hardware holds and two milliseconds, only deceleration.
+    /// After a stop and two milliseconds only deceleration.
     pub(super) fn late_rest(&self, points: &[Point], stopped: &Stopped) -> Option<Fault> {
         let hz = TICK_HZ as f64;
-        let mut held = 0.0f64;
-        for axis in 0..keys::command::LINE_AXES {
-            let edges: Vec<_> = points.iter().filter(|point| point.axis == axis).collect();
-            let next = edges.partition_point(|point| point.at <= stopped.at);
-            let last = (next + self.limits.stop_begin_steps as usize).min(edges.len());
-            if next < last {
-                held = held.max(edges[last - 1].at - stopped.at);
-            }
-        }
-        let begin = stopped.at + self.limits.stop_begin_ticks as f64 + held;
+        let begin = stopped.at + self.limits.stop_begin_ticks as f64;
         let mains: Vec<_> = points.iter().filter(|point| point.main).collect();
         let pair = mains.windows(2).rfind(|pair| pair[0].at <= begin)?;
         let speed = (pair[1].place - pair[0].place) * hz / (pair[1].at - pair[0].at);
