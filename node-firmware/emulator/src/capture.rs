@@ -311,6 +311,7 @@ impl Capture {
                 })
                 .collect(),
             stops: Vec::new(),
+            stopping: None,
             cancels: Vec::new(),
             edges: self.edges,
             inputs: Vec::new(),

@@ -10,7 +10,7 @@
 //! | high, low, direction setup and hold times | never less than [`Limits`] |
 //! | number, direction and interval of the steps of every raw move | to the tick |
 //! | every edge of a ramp and of a line that stands alone | within 1 tick of the ideal |
-//! | lines in a row, which may be joined | limits of speed, acceleration, jerk and corners; all axes at one place; never longer than with a halt at each corner |
+//! | lines in a row, which may be joined | limits of speed, acceleration, jerk and corners, one by one and in a row; all axes at one place; never longer than with a halt at each corner |
 //! | axes that start together | within [`Limits::skew_ticks`] |
 //! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
 //! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
@@ -34,6 +34,7 @@
 //! | `paths` | ramps and lines, edge by edge |
 //! | `paced` | those of them that were held or changed in flight |
 //! | `track` | joined or stopped paths, by their limits |
+//! | `turning` | an axis that many small corners turn |
 //! | `beside` | C and D |
 //! | `homing` | the way to a reference switch and off it |
 //! | `drives` | axes that are driven outside the queue |
@@ -50,6 +51,7 @@ mod paths;
 mod pins;
 mod queues;
 mod track;
+mod turning;
 
 use crate::record::{Held, HomeFacts, InputEdge, Life, Speed, TakenCommand};
 use keys::Command;
@@ -87,15 +89,13 @@ pub struct Limits {
     pub junction_hz: u32,
     /// How far an edge of the record may lie off, ticks: 0 for what an emulated pin did.
     pub sample_ticks: u64,
-    /// A path decelerates this long after a stop, ticks, …
+    /// A path decelerates this long after a stop, ticks.
     pub stop_begin_ticks: u64,
-    /// … and after what the pulse hardware holds of each axis, steps.
-    pub stop_begin_steps: u64,
 }
 
 impl Default for Limits {
     /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn adds less than
-    /// 100 µs; commands are wanted 25 ms ahead; a block of the pulse hardware holds 48 steps.
+    /// 100 µs; commands are wanted 25 ms ahead; a stop takes effect within 2 ms.
     fn default() -> Self {
         Self {
             high_ticks_min: 8,
@@ -109,7 +109,6 @@ impl Default for Limits {
             junction_hz: 200,
             sample_ticks: 0,
             stop_begin_ticks: 2_000 * TICKS_PER_US,
-            stop_begin_steps: 48,
         }
     }
 }

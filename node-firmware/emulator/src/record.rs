@@ -120,6 +120,8 @@ pub struct Life {
     pub boot: u32,
     /// How many axes the node has.
     pub axis_count: usize,
+    /// A stop that is under way, of this queue since then: it has no report yet.
+    pub stopping: Option<(QueueId, LocalMicros)>,
     /// The commands that were taken, in order.
     pub commands: Vec<TakenCommand>,
     /// How each queue that was dropped ended, in order.

@@ -429,7 +429,7 @@ fn row(name: &str, ideal_s: f64, fas_s: f64, ours_s: f64, reaction_s: f64, edge_
 }
 
 /// From a call to when it takes effect: what the pulse hardware holds and the margin behind it.
-const REACTION_S_MAX: f64 = 2.1e-3;
+const REACTION_S_MAX: f64 = 2e-3;
 
 #[test]
 fn changes_in_flight_take_effect_within_2_ms_and_are_exact_from_there() {

@@ -110,6 +110,47 @@ fn what_is_drawn_by_the_textbook_passes() {
 }
 
 #[test]
+fn a_curve_of_short_lines_may_be_passed_by_its_acceleration_and_not_by_its_corners_alone() {
+    // A circle in lines of 200 steps, whose jumps of 200 Hz would allow 20 kHz.
+    let (radius, accel) = (20_000.0_f64, 2_000);
+    let point = |index: i32| {
+        let angle = f64::from(index) / 100.0;
+        [radius * angle.sin(), radius * (1.0 - angle.cos())].map(|place| place.round() as i32)
+    };
+    let way = |index: i32| {
+        let (from, to) = (point(index), point(index + 1));
+        [to[0] - from[0], to[1] - from[1], 0, 0]
+    };
+    let lines: Vec<_> = (0..628)
+        .map(|index| line(way(index), 100_000, accel))
+        .collect();
+    let tool = |index: i32| {
+        let [x, y, ..] = way(index);
+        f64::from(x).hypot(f64::from(y))
+    };
+    // Up and down by three quarters of the acceleration of every line.
+    let ways: Vec<f64> = (0..628)
+        .scan(0.0, |sum, index| {
+            *sum += tool(index);
+            Some(*sum)
+        })
+        .collect();
+    let total = ways[627];
+    let corners = |top: f64| -> Vec<f64> {
+        let speed = |way: &f64| (2.0 * 0.75 * f64::from(accel) * way.min(total - way)).sqrt();
+        ways[..627].iter().map(|way| speed(way).min(top)).collect()
+    };
+    let drawn = |top: f64| {
+        let mut drawing = Drawing::new();
+        drawing.join(&lines, &corners(top));
+        drawing
+    };
+    let due = (f64::from(accel) * radius).sqrt();
+    passes(&drawn(due));
+    found(&drawn(1.9 * due), "turned by");
+}
+
+#[test]
 fn a_target_counts_from_where_the_commands_before_lead() {
     let to = |position_steps| Command::RampTo {
         axis: X,
@@ -490,6 +531,32 @@ fn a_line_that_is_stopped_stays_on_its_path() {
     life.stops[0].positions_steps[1] += 1;
     let violations = oracle::check_life(&life).expect_err("found");
     assert!(violations[0].to_string().contains("stopped at"));
+}
+
+#[test]
+fn joined_lines_may_be_stopped_before_their_first_step_and_make_it_late() {
+    let lines = [
+        line([600, 0, 150, 0], 5_000, 1_000),
+        line([600, 0, 200, 0], 5_000, 1_000),
+    ];
+    let drawn = |delay: u64| {
+        let mut drawing = Drawing::new();
+        drawing.draw(Command::Move {
+            axis: Y,
+            delay_us: 500,
+            steps: 30,
+        });
+        let begin = drawing.now;
+        drawing.join(&lines, &[100.0]);
+        // The first step is due after 31.6 ms; by then it slows down since 25 ms.
+        drawing.stop(begin + 23 * 16_000, begin, 1);
+        let at = begin + 25 * 16_000 + delay;
+        drawing.brake(at, &[600, 0, 150, 0], 0.3125, 25.0, 1_000.0);
+        drawing
+    };
+    let drawing = drawn(0);
+    assert_eq!(drawing.strokes.len(), 31);
+    passes(&drawing);
 }
 
 #[test]

@@ -242,6 +242,60 @@ fn a_drive_ends_on_the_limit() {
 }
 
 #[test]
+fn a_drive_that_is_told_to_accelerate_less_still_ends_inside() {
+    const X: AxisId = AxisId(0);
+    let fast = Course::hz(10_000, 100_000);
+    for (gentle, target) in [
+        // By these alone it would need 5,000 steps to rest, or 50 million.
+        (
+            Course::hz(10_000, 10_000),
+            Target::Forever(Direction::Positive),
+        ),
+        (Course::hz(10_000, 1), Target::Forever(Direction::Positive)),
+        (Course::hz(200, 1), Target::To(1_500)),
+        // Back: it turns inside, too.
+        (Course::hz(10_000, 1_000), Target::To(0)),
+        (
+            Course::hz(5_000, 10_000).shaped(RampShape::Jerk {
+                jerk_hz_per_s2: 20_000,
+            }),
+            Target::To(1_400),
+        ),
+    ] {
+        for at_us in [60_000, 100_000, 190_000, 240_000] {
+            let mut config = config();
+            config.motion.soft_limits[0] = limits(-100, 2_000, true);
+            let mut bench = Bench::new(config);
+            let motion = bench.node.node_mut().motion_mut();
+            motion
+                .drive(X, Target::Forever(Direction::Positive), fast)
+                .expect("free");
+            bench.run_for(at_us);
+            let motion = bench.node.node_mut().motion_mut();
+            motion.drive(X, target, gentle).expect("free");
+            let mut waits = 0;
+            let mut farthest = 0;
+            while bench.node.node_mut().motion_mut().is_driving() && waits < 20_000 {
+                bench.run_for(10_000);
+                farthest = farthest.max(bench.positions()[0]);
+                waits += 1;
+                // The way back is as slow as it was asked for.
+                if waits > 200 {
+                    bench.run_for(1_000_000);
+                }
+            }
+            let what = format!("{gentle:?} to {target:?} at {at_us} µs");
+            assert!(farthest <= 2_000, "{what}: at {farthest}");
+            let end = match target {
+                Target::To(end) => end,
+                _ => 2_000,
+            };
+            assert_eq!(bench.positions()[0], end, "{what}");
+        }
+    }
+}
+
+#[test]
 fn random_jobs_never_leave() {
     const Y: AxisId = AxisId(1);
     let mut bench = Bench::new(narrow());

@@ -3,7 +3,7 @@
 //! exclusive access.
 
 use crate::{
-    encoder::{Encoder, Fill, Rewound},
+    encoder::{Brake, Encoder, Fill, Rewound},
     ledger::Ledger,
     limits::{
         LOW_WATER_TICKS, LOW_WORD_TICKS_MAX, REFILL_WORDS, SEGMENTS_MAX, SEGMENTS_PER_COMMAND,
@@ -153,6 +153,16 @@ impl Axis {
         let steps_ahead = self.segments.steps_ahead();
         self.segments.clear();
         self.encoder.decelerate(goes_on, steps_ahead);
+    }
+
+    /// Takes how to slow down if the planner comes too late.
+    pub(crate) fn set_brake(&mut self, brake: Option<Brake>) {
+        self.encoder.set_brake(brake);
+    }
+
+    /// Returns whether the planner came too late: the axis slows down, or rests already.
+    pub(crate) fn is_starved(&self) -> bool {
+        self.encoder.is_starved()
     }
 
     /// Returns the speed of what was encoded last with sign, mHz.

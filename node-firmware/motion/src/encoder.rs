@@ -13,9 +13,10 @@
 //!                     ▲ h is consumed: the refill switches the pin, then writes h+2
 //! ```
 //!
-//! The rest of h is filled with the shortest words, h+1 lasts at least the refill's latency and
-//! the setup time. The planner has left that much rest before every turn
-//! (`Timing::window_ticks`); where an axis has rested for longer, the pin is switched at once.
+//! The rest of h is filled with short words, the shortest ones if there is no more rest than a turn
+//! needs; h+1 lasts at least the refill's latency and the setup time. The planner has left that much
+//! rest before every turn (`Timing::window_ticks`); where an axis has rested for longer, the pin is
+//! switched at once.
 //!
 //! **Pace.** Axes look ahead differently: 24 fast steps last 100 µs, 24 words of rest could last
 //! 6 ms. The planner can be no further ahead than the ring of the busiest axis allows, so a resting
@@ -25,14 +26,18 @@
 //! **Controlled stop.** v² falls by 2a with each step (constant deceleration), the interval between
 //! two steps is 2 / (v₀ + v₁): exact for constant deceleration, one integer root a step. It goes
 //! no farther than the plan would have gone, at whose end raw steps stop abruptly anyway.
+//!
+//! **No plan.** Where the planner comes too late, the segments end in full run. For that the planner
+//! leaves a brake with every part of a path that it writes: the axis slows down as in a controlled
+//! stop, by the path's own acceleration and on the path's own way.
 
 mod run;
 mod slower;
 
 use crate::{
     limits::{
-        LOW_WORD_TICKS_MAX, PART_BEFORE_END_TICKS_MIN, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ,
-        WORD_TICKS_MIN,
+        LOW_WORD_TICKS_MAX, PART_BEFORE_END_TICKS_MIN, PART_TICKS_MIN, REFILL_WORDS,
+        REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN,
     },
     profile::Timing,
     segment::{Direction, FRACTION_BITS, Segment, SegmentRing},
@@ -87,6 +92,15 @@ enum Turn {
     Due,
 }
 
+/// How to slow down where the plan ends in full run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Brake {
+    /// Deceleration, steps/s², from 1.
+    pub(crate) accel_hz_per_s: u32,
+    /// Steps of the path that the axis has still before it, in the same direction.
+    pub(crate) steps_max: u64,
+}
+
 /// Where another plan goes on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rewound {
@@ -128,6 +142,12 @@ pub(crate) struct Encoder {
     /// Rest since the last step's high time, saturating.
     low_ticks_since_step: u64,
     turn: Turn,
+    /// How to slow down if the plan ends here.
+    brake: Option<Brake>,
+    /// It ended in full run, and the brake was taken.
+    starved: bool,
+    /// Deceleration of a controlled stop, steps/s²; `None`: that of the profile.
+    stop_accel_hz_per_s: Option<u32>,
     /// Speed of a controlled stop, mHz.
     stopping_mhz: Option<u64>,
     /// Steps that it may still make.
@@ -183,6 +203,9 @@ impl Encoder {
             resting: true,
             low_ticks_since_step: u64::MAX,
             turn: Turn::None,
+            brake: None,
+            starved: false,
+            stop_accel_hz_per_s: None,
             stopping_mhz: None,
             stopping_steps_max: 0,
             trend: slower::Trend::NONE,
@@ -266,6 +289,7 @@ impl Encoder {
             _ => None,
         };
         segments.clear();
+        self.brake = None;
         self.steps_left = 0;
         self.low_ticks = self.kept_ticks();
         match turn {
@@ -367,6 +391,7 @@ impl Encoder {
                 self.resting = true;
             }
             Some(Segment::Turn { .. }) => self.begin_turn(segments, out),
+            None if self.starve() => {}
             None => self.end(out),
         }
     }
@@ -383,7 +408,10 @@ impl Encoder {
             self.speed_ticks = self.interval_ticks;
         }
         if goes_on {
+            // What is left of a long low time is rest in other words.
+            let most = LOW_WORD_TICKS_MAX.saturating_sub(high_ticks);
             let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
+            let in_word = in_word.min(most).max(PART_TICKS_MIN);
             self.write_step(high_ticks, low_ticks, in_word, out);
         } else {
             // What follows may be a turn: it wants the hold time in this word and all the rest
@@ -423,7 +451,7 @@ impl Encoder {
         let owed = low_ticks - in_word;
         if owed > 0 && owed < WORD_TICKS_MIN {
             // Less than a word: the two parts share it.
-            in_word = if in_word > WORD_TICKS_MIN + self.timing.low_ticks_min {
+            in_word = if in_word >= WORD_TICKS_MIN + PART_TICKS_MIN {
                 in_word - WORD_TICKS_MIN
             } else {
                 low_ticks
@@ -503,12 +531,19 @@ impl Encoder {
         if out.count == 0 && held {
             return;
         }
+        let missing = |encoder: &Self| {
+            let hold_ticks = encoder.timing.hold_ticks;
+            hold_ticks.saturating_sub(encoder.low_ticks_since_step)
+        };
+        // While this half plays the window is written: it lasts long enough for that if there is more
+        // rest than the turn needs.
+        let needed = margin_ticks + missing(self);
+        let spare = self.low_ticks.saturating_sub(needed);
+        let spare = spare.min(REST_HALF_TICKS_MIN) as u32;
+        let each = u64::from(spare / out.left().max(1) as u32).max(WORD_TICKS_MIN);
         while out.left() > 0 {
-            let missing = self
-                .timing
-                .hold_ticks
-                .saturating_sub(self.low_ticks_since_step);
-            self.write_low(missing.clamp(WORD_TICKS_MIN, LOW_WORD_TICKS_MAX), out);
+            let word_ticks = missing(self).max(each).min(LOW_WORD_TICKS_MAX);
+            self.write_low(word_ticks, out);
         }
     }
 

@@ -215,6 +215,21 @@ impl Law {
         self
     }
 
+    /// Returns the same law with no more than this acceleration and, of an S-curve, this jerk.
+    #[must_use]
+    pub(crate) fn eased(mut self, accel_max: Real, jerk_max: Real) -> Self {
+        if let Kind::Jerk {
+            jerk, swing, full, ..
+        } = &mut self.kind
+        {
+            self.accel = self.accel.min(accel_max);
+            *jerk = (*jerk).min(jerk_max);
+            *swing = self.accel / *jerk;
+            *full = self.accel * *swing;
+        }
+        self
+    }
+
     /// Returns the speed with which a move starts that jumps over `jump_steps` of its ramp, steps
     /// per tick.
     pub fn jump_speed(&self, jump_steps: Real) -> Real {

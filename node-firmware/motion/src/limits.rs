@@ -30,9 +30,10 @@ pub const PART_BEFORE_END_TICKS_MIN: u64 = 4;
 /// Shortest symbol.
 pub const WORD_TICKS_MIN: u64 = 2 * PART_TICKS_MIN;
 
-/// Longest rest in one word that this crate writes: 40 µs, although the hardware could take 4 ms.
-/// So a resting or slow axis has at most 48 · 40 µs = 1.92 ms in its block, and what comes next
-/// (another speed, a stop) need not wait longer than that.
+/// Longest word that this crate writes, a rest or a step with its low time: 40 µs, although the
+/// hardware could take 4 ms. So an axis has at most 48 · 40 µs = 1.92 ms in its block, and what comes
+/// next (another speed, a stop) need not wait longer than that. Only high times of 40 µs and more
+/// need longer words.
 pub const LOW_WORD_TICKS_MAX: u64 = 640;
 
 /// Latest that a refill may come after its threshold when a direction changes: 50 µs. The

@@ -5,6 +5,12 @@
 //! w·|n_i/|n| − m_i/|m||. That jump is limited for each axis; where the path goes straight on it
 //! is 0 and the corner costs nothing.
 //!
+//! Many small jumps in a row are an acceleration: a curve in short lines. So each jump must also
+//! last as long as the lines' acceleration a needs for it, in the time from the middle of the line
+//! before to the middle of the line behind: w·|n_i/|n| − m_i/|m|| ≤ a·(|n| + |m|) / 2w for each
+//! axis. Around a circle of radius r that is the textbook's w² ≤ a·r. A corner of long lines is
+//! bounded by its jump alone.
+//!
 //! From the last line that is known, which must be able to end at rest, the speeds are found
 //! backwards: before a line, no faster than what can be slowed down within it. They are kept, so
 //! that one line more costs only as many steps backwards as it makes a difference.
@@ -105,6 +111,11 @@ impl Line {
         Real::of_signed(self.steps[axis]) / major / self.stretch
     }
 
+    /// Way of the tool.
+    fn tool_way(&self) -> Real {
+        Real::of(self.major_steps) * self.stretch
+    }
+
     /// Speed of the tool at most.
     fn tool_speed_max(&self) -> Real {
         self.speed_max * self.stretch
@@ -114,11 +125,13 @@ impl Line {
 /// Returns the greatest speed of the tool at the corner of two lines.
 fn corner_speed(before: &Line, behind: &Line, timing: &[Timing]) -> Real {
     let mut speed = before.tool_speed_max().min(behind.tool_speed_max());
+    let mut most_jump = Real::ZERO;
     for (axis, timing) in timing.iter().enumerate() {
         let (a, b) = (before.slope(axis), behind.slope(axis));
         let jump = (a - b).abs();
         if jump.fixed(STRAIGHT_BITS) != 0 {
             speed = speed.min(timing.junction_speed / jump);
+            most_jump = most_jump.max(jump);
         }
         if before.steps[axis].signum() * behind.steps[axis].signum() < 0 {
             // It turns: between its last edge and its first one lies a window of rest. With both
@@ -131,6 +144,11 @@ fn corner_speed(before: &Line, behind: &Line, timing: &[Timing]) -> Real {
             }
             speed = speed.min(Real::of(1) / window.twice() / a.abs().max(b.abs()));
         }
+    }
+    if !most_jump.is_none() {
+        let accel = before.law.accel().min(behind.law.accel());
+        let ways = (before.tool_way() + behind.tool_way()).half();
+        speed = speed.min((accel * ways / most_jump).root());
     }
     speed
 }
@@ -186,6 +204,11 @@ impl LookAhead {
         }
     }
 
+    /// Returns the lines that are known behind the present one.
+    pub(crate) fn lines(&self) -> impl Iterator<Item = &Line> {
+        (0..self.count).map(|index| &self.known(index).line)
+    }
+
     fn place(&self, index: usize) -> usize {
         (self.first + index) % LINES_MAX
     }
@@ -231,7 +254,7 @@ impl LookAhead {
             self.lines[place] = Some(Known {
                 line: next,
                 law: next.law.scaled(next.stretch),
-                way: Real::of(next.major_steps) * next.stretch,
+                way: next.tool_way(),
                 speed_max: next.tool_speed_max(),
                 corner,
                 entry: Real::ZERO,

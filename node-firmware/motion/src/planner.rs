@@ -24,6 +24,7 @@ use crate::{
 };
 use keys::Command;
 
+mod brake;
 mod change;
 mod raw;
 mod stretch;
@@ -32,7 +33,7 @@ mod ways;
 pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
 pub(crate) use ways::Left;
 
-use stretch::{Goal, Stretch};
+use stretch::{Ease, Goal, Stretch};
 use ways::Way;
 
 /// What is known of a ramp or line when it begins.
@@ -185,6 +186,8 @@ pub(crate) struct Planner {
     ways: [Way; CHANNELS],
     /// When all ways have been left at rest: from when on.
     ways_rest_at: Option<u64>,
+    /// An axis has a brake.
+    braked: bool,
 }
 
 /// All of a line's speed.
@@ -222,6 +225,7 @@ impl Planner {
             share: WHOLE,
             ways: [Way::NONE; CHANNELS],
             ways_rest_at: None,
+            braked: false,
         }
     }
 
@@ -358,7 +362,7 @@ impl Planner {
         &mut self,
         line: Line,
         jump_steps: u16,
-        behind: impl Iterator<Item = Command>,
+        behind: impl Iterator<Item = Command> + Clone,
         begin: u64,
         base_steps: [i64; CHANNELS],
         axes: &[Axis],
@@ -401,7 +405,7 @@ impl Planner {
         &mut self,
         mut line: Line,
         from: State,
-        behind: impl Iterator<Item = Command>,
+        behind: impl Iterator<Item = Command> + Clone,
         begin: Moment,
         moving: bool,
         base_steps: [i64; CHANNELS],
@@ -411,13 +415,17 @@ impl Planner {
         let timing = &timing[..axes.len()];
         let share = self.share();
         line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
-        let goal = if self.holding {
-            Goal::Rest
+        let within = |mut line: Line| {
+            line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
+            line
+        };
+        let goal = if self.holding && line.law.jerk().is_none() {
+            Goal::Rest(Ease::none(&line))
+        } else if self.holding {
+            let exit_speed = self.ahead.exit_speed(&line, behind.clone(), within, timing);
+            self.ahead.clear();
+            Goal::Rest(Ease::of(&line, from, exit_speed, behind))
         } else {
-            let within = |mut line: Line| {
-                line.speed_max = (line.speed_max * share).min(line.driver_speed_max(timing));
-                line
-            };
             let way = Real::of(line.major_steps) - from.place;
             // No faster than can be reached within the line.
             let reached = Path::speed_reached(from, way, line.speed_max, &line.law);

@@ -204,6 +204,12 @@ impl<const AXES: usize> Steps<AXES> {
         }
     }
 
+    /// Returns how many edges of an axis are not put into segments; the last one may wait beside.
+    pub(crate) fn left(&self, axis: usize) -> u64 {
+        let cursor = self.cursors[axis].as_ref();
+        cursor.map_or(0, |cursor| cursor.last + 1 - cursor.next)
+    }
+
     /// Begins this much later.
     pub(crate) fn delay(&mut self, ticks: u64) {
         self.begin.ticks += ticks;

@@ -162,8 +162,9 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
     fn refill(&mut self, all: bool) {
         let reached = self.registers.reached();
         if all {
-            // Otherwise an event that is not answered yet must come up again.
-            self.registers.clear_events(self.mask(), false);
+            // Otherwise an event that is not answered yet must come up again. So must one that came
+            // since they were read.
+            self.registers.clear_events(self.mask() & reached, false);
         }
         loop {
             let mut soon = false;

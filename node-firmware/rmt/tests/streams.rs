@@ -256,6 +256,21 @@ fn the_first_edge_comes_when_it_was_ordered_and_on_all_axes() {
 }
 
 #[test]
+fn an_event_that_comes_while_another_is_answered_is_answered_too() {
+    for seed in 30..60 {
+        println!("seed {seed}");
+        let silicon = Silicon {
+            prefetch_words: 2,
+            threshold_on_fetch: true,
+            access_ticks: 1 + seed % 8,
+            ..Silicon::default()
+        };
+        let commands = mixed(seed, 150, 2);
+        assert_same(&commands, Layout::TWO.places::<2>(), silicon);
+    }
+}
+
+#[test]
 fn late_interrupts_are_caught_up_by_a_borrowed_block() {
     // 10 µs a step: 24 words are 240 µs, 120 words 1.2 ms.
     let commands = [Command::SyncMove {

@@ -18,6 +18,7 @@ pub(super) const SHARE_AT_BOOT: u32 = 1 << 16;
 pub(super) struct Recorded {
     pub(super) commands: Vec<TakenCommand>,
     pub(super) stops: Vec<StopReport>,
+    pub(super) stopping: Option<(QueueId, LocalMicros)>,
     pub(super) cancels: Vec<(QueueId, LocalMicros)>,
     pub(super) edges: Vec<PinEvent>,
     pub(super) inputs: Vec<InputEdge>,
@@ -37,6 +38,7 @@ impl Recorded {
             axis_count,
             commands: self.commands,
             stops: self.stops,
+            stopping: self.stopping,
             cancels: self.cancels,
             edges: self.edges,
             inputs: self.inputs,
@@ -112,10 +114,16 @@ impl EmulatedNode {
         }
     }
 
-    /// Notes whether motion is held now, and its speed.
+    /// Notes whether motion is held or stopping now, and its speed.
     pub(super) fn record_hold(&mut self) {
         let motion = self.node.motion();
         let at = motion.now().0;
+        let since = LocalMicros(at / TICKS_PER_US);
+        self.recorded.stopping = match self.recorded.stopping {
+            _ if !motion.is_stopping() => None,
+            Some(stopping) => Some(stopping),
+            None => Some((self.node.queue(), since)),
+        };
         let share = motion.speed_share();
         let before = self.recorded.speeds.last();
         if let Recording::Edges { max } = self.config.record

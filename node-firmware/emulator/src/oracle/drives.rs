@@ -84,7 +84,9 @@ impl Judge<'_> {
             2.0 / root
         };
         let stopped = |stop: u64| (driven.from_ticks..).contains(&stop);
-        let was_stopped = life.stops.iter().any(|stop| stopped(stop.at.0 * 16));
+        let stops = life.stops.iter().map(|stop| stop.at);
+        let stops = stops.chain(life.stopping.map(|(_, at)| at));
+        let was_stopped = stops.into_iter().any(|at| stopped(at.0 * 16));
         let ends = driven.until_ticks.is_some() && !was_stopped && !life.cut;
         let axis = driven.axis.0;
         let runs: Vec<_> = made.chunk_by(|a, b| a.sign == b.sign).collect();

@@ -434,10 +434,14 @@ impl Judge<'_> {
         // From rest nothing is quicker than full acceleration or slower than a halt at the end.
         let hz = TICK_HZ as f64;
         let fastest = track.fastest_s(first.place) * hz;
-        let start = Window {
+        let mut start = Window {
             low: first.at - pieces[0].first_edge_s() * pieces[0].at_speed() * hz - EDGE_TICKS,
             high: first.at - fastest + EDGE_TICKS,
         };
+        if first.at > scope.stop_at as f64 {
+            // It may slow down already.
+            start.low = f64::NEG_INFINITY;
+        }
         if start.high < begin.low {
             self.check_window(begin, start.high, pieces[0].number);
         } else if start.low > begin.high {
@@ -497,7 +501,9 @@ impl Judge<'_> {
             last,
         };
         let single = pieces.len() == 1 && !changed;
-        let mut track = Track::new(pieces, self.limits, stopped.end_of(pieces, points));
+        // Where it will rest, nobody has seen yet.
+        let end = stopped.end_of(pieces, points).filter(|_| !scope.stopping);
+        let mut track = Track::new(pieces, self.limits, end);
         if changed {
             track = track.changed();
         }

@@ -6,7 +6,7 @@ use super::{
     paths::Piece,
 };
 use crate::record::{Life, TakenCommand};
-use keys::{Command, QueueId, StopReport};
+use keys::{Command, QueueId, StopReason, StopReport};
 
 /// Instants, both ends included, ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,6 +80,8 @@ pub(super) struct Scope {
     pub(super) stop_at: u64,
     /// Commands before this one have all their steps.
     pub(super) executed: u64,
+    /// The stop is under way: the record ends before the axes rest.
+    pub(super) stopping: bool,
 }
 
 impl Judge<'_> {
@@ -142,7 +144,10 @@ impl Judge<'_> {
     }
 
     fn read_queue(&mut self, life: &Life, queue: QueueId, commands: &[TakenCommand], until: u64) {
-        let stop = life.stops.iter().find(|stop| stop.queue == queue);
+        let under_way = stop_under_way(life, queue, commands);
+        let reported = life.stops.iter().find(|stop| stop.queue == queue);
+        let stopping = reported.is_none() && under_way.is_some();
+        let stop = reported.or(under_way.as_ref());
         let stop = stop.map(|stop| since_cancel(life, stop));
         let stop = stop.as_ref();
         let reached = match stop {
@@ -168,6 +173,7 @@ impl Judge<'_> {
             until,
             stop_at: stop.map_or(u64::MAX, |stop| stop.at.0 * TICKS_PER_US),
             executed: if life.cut { 0 } else { reached },
+            stopping,
         };
         let mut anchor: Option<Anchor> = None;
         let mut broken = vec![false; self.axes.len()];
@@ -480,6 +486,20 @@ impl Judge<'_> {
             );
         }
     }
+}
+
+/// What the report of a stop that is under way would say if it ended here.
+fn stop_under_way(life: &Life, queue: QueueId, commands: &[TakenCommand]) -> Option<StopReport> {
+    let (_, at) = life.stopping.filter(|(of, _)| *of == queue)?;
+    let axes = life.status.axes.iter();
+    Some(StopReport {
+        queue,
+        reason: StopReason::Client,
+        at,
+        accepted_commands: commands.len() as u64,
+        executed_commands: life.status.executed_commands,
+        positions_steps: axes.map(|axis| axis.position_steps).collect(),
+    })
 }
 
 /// A stop overrides a cancel, and is reported with its own instant; but what was canceled slows down

@@ -7,6 +7,7 @@
 //! - *Envelope*: nothing is quicker than the fastest run within speed, acceleration and corners.
 //! - *Acceleration* and *jerk*: a divided difference of instants is a mean of the derivative with
 //!   positive weights; no mean is beyond the limit.
+//! - *Turning*: no axis is turned harder by lines in a row than their acceleration; see `turning`.
 //! - *One place*: edges of all axes come in the order of their places.
 //! - *Delays*: no line takes longer between its edges than with a halt at both ends.
 
@@ -118,11 +119,11 @@ impl Leg {
 }
 
 pub(super) struct Track<'p> {
-    pieces: &'p [Piece],
+    pub(super) pieces: &'p [Piece],
     legs: Vec<Leg>,
-    limits: &'p Limits,
+    pub(super) limits: &'p Limits,
     /// How far an edge may be off, ticks.
-    edge_ticks: f64,
+    pub(super) edge_ticks: f64,
     /// It may have rested on its way.
     rests: bool,
 }
@@ -192,7 +193,7 @@ impl<'p> Track<'p> {
         }
     }
 
-    fn skew(&self) -> f64 {
+    pub(super) fn skew(&self) -> f64 {
         self.limits.skew_ticks as f64
     }
 
@@ -215,6 +216,7 @@ impl<'p> Track<'p> {
             self.envelope(points),
             self.accel(&mains),
             self.jerk(&mains),
+            self.turning(points),
         ]
         .into_iter()
         .flatten()
@@ -391,19 +393,10 @@ impl<'p> Track<'p> {
         faults
     }
 
-    /// After a stop, what a block of the hardware holds and two milliseconds, only deceleration.
+    /// After a stop and two milliseconds only deceleration.
     pub(super) fn late_rest(&self, points: &[Point], stopped: &Stopped) -> Option<Fault> {
         let hz = TICK_HZ as f64;
-        let mut held = 0.0f64;
-        for axis in 0..keys::command::LINE_AXES {
-            let edges: Vec<_> = points.iter().filter(|point| point.axis == axis).collect();
-            let next = edges.partition_point(|point| point.at <= stopped.at);
-            let last = (next + self.limits.stop_begin_steps as usize).min(edges.len());
-            if next < last {
-                held = held.max(edges[last - 1].at - stopped.at);
-            }
-        }
-        let begin = stopped.at + self.limits.stop_begin_ticks as f64 + held;
+        let begin = stopped.at + self.limits.stop_begin_ticks as f64;
         let mains: Vec<_> = points.iter().filter(|point| point.main).collect();
         let pair = mains.windows(2).rfind(|pair| pair[0].at <= begin)?;
         let speed = (pair[1].place - pair[0].place) * hz / (pair[1].at - pair[0].at);
@@ -460,7 +453,7 @@ fn fall_s(piece: &Piece, speed: f64) -> f64 {
 }
 
 /// First index and distance of `spans` + 1 equidistant items out of `count`, from near to far.
-fn scales(count: usize, spans: usize) -> impl Iterator<Item = (usize, usize)> {
+pub(super) fn scales(count: usize, spans: usize) -> impl Iterator<Item = (usize, usize)> {
     let doubled = std::iter::successors(Some(1), |scale| Some(scale * 2));
     doubled
         .take_while(move |scale| spans * scale < count)

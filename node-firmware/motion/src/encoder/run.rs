@@ -4,7 +4,7 @@
 //! addition and its carry; what holds for the whole run is decided once before it.
 
 use super::{Encoder, Out};
-use crate::{segment::FRACTION_BITS, symbol::Symbol};
+use crate::{limits::LOW_WORD_TICKS_MAX, segment::FRACTION_BITS, symbol::Symbol};
 
 impl Encoder {
     /// Writes steps of the present segment but for its last one, as many as there is room for:
@@ -22,7 +22,8 @@ impl Encoder {
         // Rounded up to the next tick, so that half a tick can be added before it is cut.
         let behind = self.offset + (1 << (FRACTION_BITS - 1));
         let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
-        let most_ticks = (in_word + self.timing.high_ticks_min - 1) as i64;
+        let in_word = in_word + self.timing.high_ticks_min - 1;
+        let most_ticks = in_word.min(LOW_WORD_TICKS_MAX) as i64;
         let least_ticks = self.timing.interval_ticks_min() as i64;
         if count == 0
             || behind >> FRACTION_BITS != 0

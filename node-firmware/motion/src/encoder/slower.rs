@@ -1,10 +1,9 @@
 //! The arithmetic of a controlled stop: v² falls by 2a with each step, the interval is 2 / (v₀ + v₁).
 //! All of it without a division of more than 32 bits, which the chip does not have.
 
-use super::run::step_word;
-use super::{Encoder, Out, Turn};
+use super::{Brake, Encoder, Out, Turn, run::step_word};
 use crate::{
-    limits::{LOW_WORD_TICKS_MAX, TICK_HZ},
+    limits::{LOW_WORD_TICKS_MAX, PART_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
     symbol::Symbol,
 };
 
@@ -32,9 +31,44 @@ impl Encoder {
         self.trend = Trend::NONE;
     }
 
+    /// Takes how to slow down if the plan ends in full run; `None`: it ends where it shall.
+    pub(crate) fn set_brake(&mut self, brake: Option<Brake>) {
+        self.brake = brake;
+    }
+
+    /// Returns whether the plan has ended in full run.
+    pub(crate) fn is_starved(&self) -> bool {
+        self.starved
+    }
+
+    /// The plan has ended: slows down if it was in full run. Returns whether it was.
+    pub(super) fn starve(&mut self) -> bool {
+        let Some(brake) = self.brake.take() else {
+            return false;
+        };
+        if self.resting || self.interval_ticks == 0 || brake.steps_max == 0 {
+            return false;
+        }
+        // The last edge before a corner may be followed by a part of its interval only: what is
+        // written ends with the line. The rest of it, by the interval before.
+        let interval_ticks = self.interval_ticks.max(self.speed_ticks);
+        let wait_ticks = interval_ticks - self.interval_ticks;
+        if wait_ticks >= WORD_TICKS_MIN {
+            self.low_ticks = wait_ticks;
+        }
+        self.starved = true;
+        self.stop_accel_hz_per_s = Some(brake.accel_hz_per_s);
+        self.stopping_steps_max = brake.steps_max;
+        // In the refill interrupt: not by the chip's division of 64 bits.
+        self.stopping_mhz = Some(quotient(1_000 * TICK_HZ, interval_ticks));
+        self.trend = Trend::NONE;
+        true
+    }
+
     /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
     pub(super) fn lost_speed(&self) -> u64 {
-        2_000_000 * u64::from(self.timing.stop_accel_hz_per_s)
+        let accel_hz_per_s = self.stop_accel_hz_per_s;
+        2_000_000 * u64::from(accel_hz_per_s.unwrap_or(self.timing.stop_accel_hz_per_s))
     }
 
     /// Writes a step of a controlled stop, or the end.
@@ -54,7 +88,9 @@ impl Encoder {
         self.write_step(
             high_ticks,
             interval_ticks - high_ticks,
-            LOW_WORD_TICKS_MAX,
+            LOW_WORD_TICKS_MAX
+                .saturating_sub(high_ticks)
+                .max(PART_TICKS_MIN),
             out,
         );
     }
@@ -62,8 +98,8 @@ impl Encoder {
     /// Writes steps of a controlled stop, as many as there is room for: those that need one word
     /// each and lose little speed. Returns whether there were any.
     pub(super) fn slower_run(&mut self, speed_mhz: u64, out: &mut Out) -> bool {
-        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min) as u32;
-        let most_ticks = in_word + self.timing.high_ticks_min as u32;
+        let in_word = self.low_word_ticks.max(self.timing.low_ticks_min);
+        let most_ticks = (in_word + self.timing.high_ticks_min).min(LOW_WORD_TICKS_MAX) as u32;
         let lost = self.lost_speed();
         let before = out.count;
         let Ok(mut speed) = u32::try_from(speed_mhz) else {

@@ -12,6 +12,7 @@ use super::{
 };
 use crate::{
     Direction, StepBackend, Ticks,
+    law::Law,
     limits::{CHANNELS, TICK_HZ},
     lookahead::Line,
     planner::{Left, Planner, Split, WAY_STEPS_MAX},
@@ -311,10 +312,12 @@ impl<B: StepBackend> Motion<'_, B> {
                 let waits = self.turns.is_external(index);
                 self.begin_leg(index, leg, if waits { at.max(settled) } else { at });
             }
-            (Left::Moving(split), None) => {
+            (Left::Moving { split, .. }, None) => {
                 self.slow_down(index, split);
             }
-            (Left::Moving(split), Some(leg)) => self.turn_to(index, split, leg),
+            (Left::Moving { split, reach_steps }, Some(leg)) => {
+                self.turn_to(index, split, reach_steps, leg);
+            }
         }
     }
 
@@ -326,14 +329,26 @@ impl<B: StepBackend> Motion<'_, B> {
         }
     }
 
-    /// Goes on with another leg; turns first if it has to.
-    fn turn_to(&mut self, index: usize, mut split: Split, leg: Leg) {
-        let law = leg.how.law().after(&split.line.law);
+    /// Goes on with another leg; turns first if it has to. `reach_steps` is how far it would have
+    /// gone so far.
+    ///
+    /// It slows down by the new ramp, unless that led farther than it has ever been sent: beyond
+    /// a soft limit, for one. Then it slows down by whichever ramp needs less way.
+    fn turn_to(&mut self, index: usize, mut split: Split, reach_steps: i64, leg: Leg) {
+        let mut law = leg.how.law().after(&split.line.law);
         let sign = split.line.steps[index].signum();
         let way = i128::from(sign) * i128::from(leg.from(split.base_steps[index]));
-        // Rounding in the last bits is no lack of way.
-        let least = Planner::least_way(&split, &law) - Real::of(1).shifted(-20);
         let way = way as i64;
+        // Rounding in the last bits is no lack of way.
+        let least_by = |law: &Law| Planner::least_way(&split, law) - Real::of(1).shifted(-20);
+        let mut least = least_by(&law);
+        let sent = way.max(reach_steps.saturating_mul(sign));
+        if least > Real::of_signed(sent) {
+            let before = least_by(&split.line.law);
+            if before < least {
+                (law, least) = (split.line.law, before);
+            }
+        }
         split.line.law = law;
         if Real::of_signed(way) < least {
             let end = self.slow_down(index, split);

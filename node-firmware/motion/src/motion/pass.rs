@@ -6,7 +6,7 @@ use super::{
     rest_from,
 };
 use crate::{
-    StepBackend, Ticks,
+    Axis, StepBackend, Ticks,
     io::enable::AxisSet,
     limits::{ALARM_TICKS, MARKS_MAX, TICKS_PER_US},
 };
@@ -200,13 +200,15 @@ impl<B: StepBackend> Motion<'_, B> {
                 if let Some(event) = self.pass_drive() {
                     return Some(event);
                 }
-                if self.now < rest_from(timeline) || self.backend.is_playing() {
+                let starved = self.is_starved();
+                let over = starved || self.now >= rest_from(timeline);
+                if !over || self.backend.is_playing() {
                     return None;
                 }
                 self.settle_axes();
                 self.phase = Phase::Rest;
                 self.rest_enables();
-                if self.planner.is_unfinished() {
+                if starved || self.planner.is_unfinished() {
                     // The axes stood still in the middle of a path. Nothing goes on from there by
                     // itself.
                     self.fault = Some(FaultCode::PLAN_LATE);
@@ -235,6 +237,14 @@ impl<B: StepBackend> Motion<'_, B> {
                     Some(MotionEvent::Rest)
                 }
             }
+        }
+    }
+
+    /// Returns whether the planner came too late for an axis: its segments ended in full run.
+    pub(super) fn is_starved(&mut self) -> bool {
+        self.planner.has_brakes() && {
+            let axes = &self.backend.axes()[..self.axis_count];
+            axes.iter().any(Axis::is_starved)
         }
     }
 

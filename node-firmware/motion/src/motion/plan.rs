@@ -25,11 +25,22 @@ impl<B: StepBackend> Motion<'_, B> {
         if self.phase == Phase::Stopped {
             return;
         }
+        if self.phase != Phase::Rest && self.is_starved() {
+            // What is left of the plan is left out: one axis slows down already.
+            for axis in &mut self.backend.axes()[..self.axis_count] {
+                axis.decelerate();
+            }
+            return;
+        }
         if self.is_driving() {
             let lead_ticks = self.lead_ticks;
             if let Some(at) = self.plan_drives(lead_ticks) {
                 self.started_at = at;
                 self.backend.start(at, lead_ticks);
+            }
+            if self.planner.wants_brakes() {
+                let axes = &mut self.backend.axes()[..self.axis_count];
+                self.planner.leave_way_brakes(axes);
             }
             return;
         }
@@ -159,6 +170,10 @@ impl<B: StepBackend> Motion<'_, B> {
             self.backend.start(at, lead_ticks);
             self.give_laser_back();
         }
+        if self.planner.wants_brakes() {
+            let axes = &mut self.backend.axes()[..self.axis_count];
+            self.planner.leave_brakes(axes);
+        }
     }
 
     /// Returns whether a command begins only when all before it has ended.
@@ -287,7 +302,7 @@ pub(super) fn lines_behind<'r>(
     count: usize,
     lidar_waits: bool,
     turns: Turns,
-) -> impl Iterator<Item = Command> + use<'r> {
+) -> impl Iterator<Item = Command> + Clone + use<'r> {
     let all = (count..).map_while(|index| ring.peek_at(index));
     all.take(LOOK_COMMANDS_MAX)
         .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))

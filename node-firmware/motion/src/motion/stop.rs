@@ -150,7 +150,8 @@ impl<B: StepBackend> Motion<'_, B> {
         while self.pass_marks().is_some() {}
     }
 
-    pub(super) fn is_stopping(&self) -> bool {
+    /// Returns whether a stop is under way and has not been told.
+    pub fn is_stopping(&self) -> bool {
         matches!(self.phase, Phase::Decelerating | Phase::Stopped)
     }
 }

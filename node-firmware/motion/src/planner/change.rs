@@ -145,7 +145,7 @@ impl Planner {
     pub(crate) fn go_on(
         &mut self,
         split: Split,
-        behind: impl Iterator<Item = Command>,
+        behind: impl Iterator<Item = Command> + Clone,
         axes: &[Axis],
     ) -> Begun {
         let Split {

@@ -9,6 +9,7 @@ use crate::{
     real::Real,
     steps::{Exit, Moment, Steps},
 };
+use keys::Command;
 
 /// What a stretch of path does at its end.
 #[derive(Clone, Copy, Debug)]
@@ -16,7 +17,69 @@ pub(super) enum Goal {
     /// It makes the line's way and leaves it at this speed.
     Leave(Real),
     /// It comes to rest as soon as the law allows, or leaves the line slowing down.
-    Rest,
+    Rest(Ease),
+}
+
+/// Limits of a braking that leads over corners, in the measure of its first line: those of all lines
+/// that it may reach. An S-curve's braking that was begun harder could not end as softly as
+/// the next line wants it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ease {
+    accel_max: Real,
+    jerk_max: Real,
+}
+
+impl Ease {
+    /// None: a line's own limits.
+    pub(super) fn none(line: &Line) -> Self {
+        Self {
+            accel_max: line.law.accel(),
+            jerk_max: line.law.jerk().unwrap_or(Real::ZERO),
+        }
+    }
+
+    /// Looks at the lines behind `line`, which is left in this state, as far as it is needed. It
+    /// may be left at `exit_speed` at most: where a softer braking is faster than that at the
+    /// corner, it brakes by its own limits.
+    pub(super) fn of(
+        line: &Line,
+        from: State,
+        exit_speed: Real,
+        behind: impl Iterator<Item = Command>,
+    ) -> Self {
+        let own = Self::none(line);
+        if line.law.jerk().is_none() {
+            return own;
+        }
+        let mut ease = own;
+        let whole = Real::of(line.major_steps);
+        let mut way = whole;
+        for next in behind.map_while(|command| Line::of(&command)) {
+            let mut path = Path::at(from);
+            path.come_to_rest(&ease.law(line));
+            if path.end_steps() <= way {
+                break;
+            }
+            let share = next.stretch / line.stretch;
+            if let Some(jerk) = next.law.jerk() {
+                ease.accel_max = ease.accel_max.min(next.law.accel() * share);
+                ease.jerk_max = ease.jerk_max.min(jerk * share);
+            }
+            way = way + Real::of(next.major_steps) * share;
+        }
+        if way > whole {
+            let path = slow_down(from, whole, &ease.law(line));
+            let speed = path.end_state().speed;
+            if speed > exit_speed + exit_speed.shifted(-SLACK_BITS) {
+                return own;
+            }
+        }
+        ease
+    }
+
+    fn law(&self, line: &Line) -> Law {
+        line.law.eased(self.accel_max, self.jerk_max)
+    }
 }
 
 /// A stretch of path: a line, or a part of one where it was changed in flight. Small, so that many
@@ -48,7 +111,7 @@ impl Stretch {
                     .or_else(|_| Path::plan(self.from, way, self.from.speed, most, law))
                     .unwrap_or_else(|_| slow_down(self.from, way, law))
             }
-            Goal::Rest => slow_down(self.from, way, law),
+            Goal::Rest(ease) => slow_down(self.from, way, &ease.law(&self.line)),
         };
         if let Some(ticks) = self.until {
             path.cut(ticks);
@@ -84,6 +147,9 @@ impl Stretch {
         )
     }
 }
+
+/// Speeds that differ by less than 2⁻³⁰ of them are the same.
+const SLACK_BITS: i32 = 30;
 
 /// Comes to rest, at the latest where the line ends.
 fn slow_down(from: State, way: Real, law: &Law) -> Path {

@@ -10,8 +10,8 @@
 //! anew on that axis only.
 
 use super::{
-    CUT_MARGIN_TICKS, Goal, Made, Planner, STRETCHES_MAX, Split, Stretch, Tail, WAY_STEPS_MAX,
-    timing_of,
+    CUT_MARGIN_TICKS, Ease, Goal, Made, Planner, STRETCHES_MAX, Split, Stretch, Tail,
+    WAY_STEPS_MAX, timing_of,
 };
 use crate::{
     axis::Axis,
@@ -34,7 +34,7 @@ const WAY_STRETCHES_MAX: usize = 6;
 const _: () = assert!(CHANNELS * WAY_STRETCHES_MAX <= STRETCHES_MAX);
 
 /// Returns where the stretches of an axis lie among all.
-const fn room_of(index: usize) -> core::ops::Range<usize> {
+pub(super) const fn room_of(index: usize) -> core::ops::Range<usize> {
     index * WAY_STRETCHES_MAX..(index + 1) * WAY_STRETCHES_MAX
 }
 
@@ -87,7 +87,11 @@ pub(crate) enum Left {
         base_steps: Option<i64>,
     },
     /// In motion.
-    Moving(Split),
+    Moving {
+        split: Split,
+        /// How far it would have gone that way, steps of its line with sign.
+        reach_steps: i64,
+    },
 }
 
 impl Way {
@@ -165,6 +169,14 @@ impl Way {
         }
     }
 
+    /// Returns the stretch that is being written, and how many of its edges are left; `None`: all
+    /// are written, to rest.
+    pub(super) fn left<'r>(&self, room: &'r [Option<Stretch>]) -> Option<(&'r Stretch, u64)> {
+        let steps = self.steps.as_ref()?;
+        let stretch = room[self.writing.checked_sub(1)?].as_ref()?;
+        Some((stretch, steps.left(0)))
+    }
+
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
     fn leave(
         &mut self,
@@ -183,6 +195,7 @@ impl Way {
                 base_steps: None,
             };
         };
+        let reach_steps = reach(index, &room[place..self.count]);
         let stretch = room[place].as_mut().expect("below the count");
         let base_steps = stretch.base_steps;
         let line = stretch.line;
@@ -206,12 +219,13 @@ impl Way {
                     base_steps: Some(base_steps[index]),
                 };
             }
-            return Left::Moving(Split {
+            let split = Split {
                 line,
                 from: without_accel(stretch.from, &line.law),
                 at: stretch.begin,
                 base_steps,
-            });
+            };
+            return Left::Moving { split, reach_steps };
         }
         let since = Real::of(cut - stretch.begin.ticks);
         let from = without_accel(stretch.path().state_at(since), &line.law);
@@ -219,12 +233,13 @@ impl Way {
         stretch.exit = Exit::Moving;
         stretch.end_ticks = cut;
         self.count = place + 1;
-        Left::Moving(Split {
+        let split = Split {
             line,
             from,
             at: Moment::of(cut),
             base_steps,
-        })
+        };
+        Left::Moving { split, reach_steps }
     }
 
     fn push(&mut self, room: &mut [Option<Stretch>], stretch: Stretch) {
@@ -232,6 +247,29 @@ impl Way {
         room[self.count] = Some(stretch);
         self.count += 1;
     }
+}
+
+/// Returns how far an axis goes by these stretches until it turns or rests for good, steps of the
+/// first one's line with sign.
+fn reach(index: usize, stretches: &[Option<Stretch>]) -> i64 {
+    let mut stretches = stretches.iter().flatten();
+    let Some(first) = stretches.next() else {
+        return 0;
+    };
+    let (base, sign) = (first.base_steps[index], first.line.steps[index].signum());
+    let end = |stretch: &Stretch| {
+        // Where it was left, the next one goes on.
+        let whole = Stretch {
+            until: None,
+            ..*stretch
+        };
+        let made = whole.path().end_steps().rounded();
+        stretch.base_steps[index] - base + sign * made
+    };
+    stretches
+        .take_while(|stretch| stretch.line.steps[index].signum() == sign)
+        .last()
+        .map_or_else(|| end(first), end)
 }
 
 /// Without a limit of jerk an acceleration may end at once.
@@ -410,7 +448,7 @@ impl Planner {
             line: self.within(line, &timing[..axes.len()]),
             from: split.from,
             goal: if to_rest {
-                Goal::Rest
+                Goal::Rest(Ease::none(&split.line))
             } else {
                 Goal::Leave(Real::ZERO)
             },
