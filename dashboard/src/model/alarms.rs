@@ -363,6 +363,7 @@ mod tests {
             skew_us,
             by_node_us: std::collections::BTreeMap::new(),
             uncertainty_us: 20.0,
+            max_skew_us: Some(1_000.0),
         };
         for (version, skew_us) in [(1, 900.0), (2, 1_200.0), (3, 1_200.0)] {
             late.version = version;

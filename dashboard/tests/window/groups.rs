@@ -99,6 +99,7 @@ fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
             .map(|(name, us)| (node(name), *us))
             .collect(),
         uncertainty_us: 55.0,
+        max_skew_us: Some(1_000.0),
     }
 }
 
