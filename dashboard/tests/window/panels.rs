@@ -47,6 +47,190 @@ fn stop_all_is_one_click_and_one_key_also_while_typing() {
 }
 
 #[test]
+fn a_stop_key_that_is_held_down_is_one_stop() {
+    let mut harness = show(fleet());
+    let press = |harness: &mut Harness<'_, Dashboard>, pressed| {
+        harness.event(egui::Event::Key {
+            key: Key::F1,
+            physical_key: None,
+            pressed,
+            repeat: false,
+            modifiers: Modifiers::NONE,
+        });
+        harness.run_steps(1);
+    };
+    // A system repeats the press while the key is down.
+    for _ in 0..5 {
+        press(&mut harness, true);
+    }
+    assert_eq!(asked(&mut harness), [stop_all()]);
+    press(&mut harness, false);
+    press(&mut harness, true);
+    assert_eq!(asked(&mut harness), [stop_all()], "pressed again");
+}
+
+#[test]
+fn a_stop_is_out_in_the_frame_of_its_key_and_shown_as_confirmed_with_the_status() {
+    let mut harness = show(fleet());
+    let id = node("cell-a-1");
+    harness.state_mut().view.selection = BTreeSet::from([id]);
+    // The frame with the key press, and what this frame hands to the link.
+    harness.key_press(Key::F1);
+    harness.run_steps(1);
+    let pressed = at_ms(1_000);
+    let out = harness.state_mut().take_requests(pressed);
+    assert_eq!(out.len(), 1);
+    assert_eq!(out[0].1, stop_all());
+    // Half a round trip there, half a round trip back: 8 ms later the statuses are here.
+    let names = [
+        "cell-a-1", "cell-a-2", "cell-a-3", "cell-b-1", "cell-b-2", "spare",
+    ];
+    for name in names {
+        let stopped = status(NodeState::Stopped, 2_000, [0, 0], 0);
+        tell_status(harness.state_mut(), pressed.plus_us(8_000), name, stopped);
+    }
+    // One frame shows it.
+    harness.run_steps(1);
+    assert!(shows(&harness, "confirmed 6/6") && shows(&harness, "in 8.0 ms"));
+}
+
+#[test]
+fn a_slow_stop_says_who_is_latched_and_still_comes_to_rest() {
+    let mut harness = show(fleet());
+    harness.state_mut().view.selection = BTreeSet::from([node("cell-a-1")]);
+    harness.run_steps(2);
+    button(&mut harness, "Slow stop");
+    asked(&mut harness);
+    let slowing = status(NodeState::Stopped, 2_000, [0, 0], 800);
+    tell_status(harness.state_mut(), at_ms(1_010), "cell-a-1", slowing);
+    harness.run_steps(2);
+    assert!(shows(&harness, "confirmed 0/1"));
+    assert!(shows(&harness, "still coming to rest: cell-a-1"));
+    assert!(!shows(&harness, "missing:"));
+    let resting = status(NodeState::Stopped, 2_400, [0, 0], 0);
+    tell_status(harness.state_mut(), at_ms(1_400), "cell-a-1", resting);
+    harness.run_steps(2);
+    assert!(shows(&harness, "confirmed 1/1") && shows(&harness, "in 400.0 ms"));
+}
+
+#[test]
+fn every_column_says_what_it_knows_of_a_node() {
+    let mut harness = show(fleet());
+    harness.state_mut().view.fleet.filter = "cell-a-1".to_owned();
+    harness.run_steps(2);
+    for words in [
+        "▶ running",
+        "engrave-7 12/40",
+        "28/4096",
+        "2\u{a0}000 · -1\u{a0}000",
+        "2\u{a0}000 · -1\u{a0}000",
+        "+12 µs ± 41 µs",
+        "-61 dBm",
+        "0.0 s",
+    ] {
+        assert!(shows(&harness, words), "{words}");
+    }
+    harness.state_mut().view.fleet.filter = "cell-b-2".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "✖ 204 planner too late"));
+    harness.state_mut().view.fleet.filter = "spare".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "unknown"), "no clock");
+    assert!(shows(&harness, "–"), "no RSSI");
+}
+
+#[test]
+fn several_nodes_are_selected_without_a_mouse() {
+    let mut harness = show(fleet());
+    click(&mut harness, Role::CheckBox, "Select cell-a-1");
+    click(&mut harness, Role::CheckBox, "Select spare");
+    let both = BTreeSet::from([node("cell-a-1"), node("spare")]);
+    assert_eq!(harness.state().view.selection, both);
+    assert_eq!(harness.state().view.focus, None, "no page opens");
+    let tick = harness.get_by_role_and_label(Role::CheckBox, "Select spare");
+    tick.focus();
+    harness.run_steps(2);
+    harness.key_press(Key::Space);
+    harness.run_steps(2);
+    let one = BTreeSet::from([node("cell-a-1")]);
+    assert_eq!(harness.state().view.selection, one);
+}
+
+#[test]
+fn every_panel_has_a_key() {
+    let mut harness = show(fleet());
+    for (key, tab) in [
+        (Key::N, Tab::Compose),
+        (Key::G, Tab::GroupJob),
+        (Key::M, Tab::Alarms),
+        (Key::T, Tab::Timeline),
+        (Key::L, Tab::Log),
+        (Key::P, Tab::Pulses),
+        (Key::R, Tab::Recording),
+        (Key::J, Tab::Jobs),
+    ] {
+        harness.key_press_modifiers(Modifiers::COMMAND, key);
+        harness.run_steps(2);
+        assert_eq!(harness.state().view.tab, tab);
+    }
+}
+
+#[test]
+fn what_is_looked_at_is_remembered_and_what_is_asked_about_is_not() {
+    let mut dashboard = fleet();
+    let view = &mut dashboard.view;
+    view.tab = Tab::GroupJob;
+    view.focus = Some(node("spare"));
+    view.fleet.filter = "cell".to_owned();
+    view.fleet.sort = dashboard::panels::fleet::Column::Clock;
+    view.composer.target = "cell-a-$*".to_owned();
+    view.alarms.sound = true;
+    view.node.speed_percent = 70;
+    view.stop.releasing = Some(Scope::All);
+    view.selection.insert(node("spare"));
+    let kept = serde_json::to_string(view).expect("text");
+    let mut back: dashboard::view::View = serde_json::from_str(&kept).expect("a view");
+    assert_eq!((back.tab, back.focus), (Tab::GroupJob, Some(node("spare"))));
+    assert_eq!(back.fleet.filter, "cell");
+    assert_eq!(back.fleet.sort, dashboard::panels::fleet::Column::Clock);
+    assert_eq!(back.composer.target, "cell-a-$*");
+    assert!(back.alarms.sound && back.node.speed_percent == 70);
+    assert_eq!(back.fleet.saved, ["cell-a-$*", "cell-b-$*"]);
+    // What stops or releases is chosen anew each time.
+    assert_eq!(back.stop.releasing, None);
+    assert!(back.selection.is_empty());
+    // Settings of an older program lack what is new.
+    back = serde_json::from_str("{\"tab\":\"Log\"}").expect("a view");
+    assert_eq!((back.tab, back.node.speed_percent), (Tab::Log, 100));
+}
+
+#[test]
+fn the_top_bar_counts_faults_and_marks_a_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut harness = show(fleet());
+    assert!(shows(&harness, "✖ 1 fault"));
+    assert!(!shows(&harness, "⏺ recording"));
+    let dashboard = harness.state_mut();
+    dashboard.session.part_bytes_max = 200_000;
+    let file = folder.path().join("day.jsonl").display().to_string();
+    dashboard.session.record(&file, &dashboard.model);
+    std::fs::write(folder.path().join("day-2.jsonl"), "mine").expect("written");
+    harness.run_steps(2);
+    button(&mut harness, "⏺ recording");
+    assert_eq!(harness.state().view.tab, Tab::Recording);
+    // The next file cannot be made.
+    for number in 0..100 {
+        let (node, text) = (node("spare"), "x".repeat(5_000) + &number.to_string());
+        let at = at_ms(1_000 + 10 * number);
+        harness.state_mut().hear(at, Message::Log { node, text });
+    }
+    harness.run_steps(2);
+    harness.state_mut().view.tab = Tab::Jobs;
+    harness.run_steps(2);
+    assert!(shows(&harness, "✖ NOT RECORDED"));
+}
+
+#[test]
 fn typing_asks_for_nothing() {
     let mut harness = show(fleet());
     harness
@@ -195,8 +379,8 @@ fn nodes_that_need_somebody_come_first_and_columns_sort() {
     assert_eq!(order(&harness)[0], "cell-a-1");
     button(&mut harness, "Sort by Node");
     assert_eq!(order(&harness)[0], "spare");
-    button(&mut harness, "Sort by Speed /s");
-    button(&mut harness, "Sort by Speed /s");
+    button(&mut harness, "Sort by Speed (steps/s)");
+    button(&mut harness, "Sort by Speed (steps/s)");
     assert_eq!(order(&harness)[0], "cell-a-1");
 }
 
@@ -264,10 +448,9 @@ fn a_job_is_checked_sent_and_followed() {
     assert_eq!(harness.state().view.tab, Tab::Jobs);
     button(&mut harness, "Run again…");
     assert_eq!(harness.state().view.tab, Tab::Compose);
-    assert!(
-        !harness.state().view.composer.text.contains("id"),
-        "a new job"
-    );
+    let composer = &harness.state().view.composer;
+    assert!(!composer.text.contains("id"), "a new job");
+    assert_eq!(composer.target, "cell-a-1", "for the node that had it");
 }
 
 #[test]
@@ -279,6 +462,69 @@ fn a_job_is_canceled_in_two_steps() {
     button(&mut harness, "Really cancel");
     let job = job("engrave-7");
     assert_eq!(asked(&mut harness), [Request::Cancel { job }]);
+    assert!(shows(&harness, "⌛ cancel asked for"));
+}
+
+#[test]
+fn what_became_of_a_cancel_stands_at_its_job() {
+    let job = job("engrave-7");
+    let refused = vec![JobError::new(ErrorCode::NotAllowed, "not yours")];
+    for (answer, words) in [
+        (
+            Answer::Failed("no gateway answers".to_owned()),
+            "✖ NOT CANCELED: no gateway answers",
+        ),
+        (
+            Answer::Done { count: 0, refused },
+            "✖ NOT CANCELED: not_allowed: not yours",
+        ),
+        (
+            Answer::Done {
+                count: 1,
+                refused: Vec::new(),
+            },
+            "⏹ cancel taken: it ends when its nodes are at rest",
+        ),
+    ] {
+        let mut harness = show(fleet());
+        let now = at_ms(1_000);
+        let state = harness.state_mut();
+        let ticket = state.requests.push(Request::Cancel { job });
+        state.take_requests(now);
+        tell(state, now, Message::Answer { ticket, answer });
+        harness.run_steps(2);
+        assert!(shows(&harness, words), "in the list: {words}");
+        button(&mut harness, "engrave-7");
+        let count = harness.query_all_by_label_contains(words).count();
+        assert_eq!(count, 2, "and in the detail: {words}");
+    }
+}
+
+#[test]
+fn a_jobs_id_and_the_log_are_copied() {
+    let copied = |harness: &Harness<'_, Dashboard>| {
+        let mut commands = harness.output().platform_output.commands.iter();
+        commands.find_map(|command| match command {
+            egui::OutputCommand::CopyText(text) => Some(text.clone()),
+            _ => None,
+        })
+    };
+    let mut harness = show(fleet());
+    button(&mut harness, "engrave-7");
+    harness
+        .get_by_role_and_label(Role::Button, "Copy id")
+        .click();
+    harness.run_steps(1);
+    assert_eq!(copied(&harness).as_deref(), Some("engrave-7"));
+    harness.state_mut().view.tab = Tab::Log;
+    harness.state_mut().view.log.filter = "layer".to_owned();
+    harness.run_steps(2);
+    harness
+        .get_by_role_and_label(Role::Button, "Copy log")
+        .click();
+    harness.run_steps(1);
+    let expected = "2026-11-21 03:00:01.000 cell-a-1 layer 3 of 12\n";
+    assert_eq!(copied(&harness).as_deref(), Some(expected));
 }
 
 #[test]
@@ -368,6 +614,27 @@ fn picture_of_a_stop_that_somebody_misses() {
             tell_status(&mut dashboard, at_ms(1_009), name, stopped);
         }
         dashboard.view.stop.releasing = Some(Scope::All);
+        dashboard
+    });
+}
+
+#[test]
+fn picture_of_a_lost_link() {
+    picture_of("lost_link", || {
+        let mut dashboard = fleet();
+        let why = "the router is gone".to_owned();
+        let down = Message::Link(LinkEvent::Down { why });
+        tell(&mut dashboard, at_ms(1_000), down);
+        let stop = dashboard.requests.push(stop_all());
+        dashboard.take_requests(at_ms(12_000));
+        let words = "NOT SENT: there is no link. Use the stop buttons of the machines";
+        let answer = Answer::Failed(words.to_owned());
+        let told = Message::Answer {
+            ticket: stop,
+            answer,
+        };
+        tell(&mut dashboard, at_ms(12_000), told);
+        dashboard.model.tick(at_ms(13_000));
         dashboard
     });
 }
