@@ -175,6 +175,24 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
         let effort = model.efforts().next().expect("begun");
         effort.ticket() == ticket && effort.expected() == 3 && effort.is_complete()
     });
+
+    // A slow stop is over when the node is at rest, and that it says itself.
+    let job = r#"{"commands":[{"ramp":{"axis":0,"steps":1000000,"speed_hz":2000,"accel":4000}}]}"#;
+    bench.operator.submit("left", job);
+    let moves = |model: &Model| {
+        let node = model.node(&left).expect("known");
+        node.speeds_hz()
+            .first()
+            .is_some_and(|speed_hz| *speed_hz != 0.0)
+    };
+    bench.operator.until("it moves", moves);
+    let (scope, mode) = (Scope::node(left), StopMode::Decelerate);
+    let ticket = bench.operator.ask(Request::Stop { scope, mode });
+    bench.operator.until("it has come to rest", |model| {
+        let effort = model.efforts().next().expect("begun");
+        effort.ticket() == ticket && effort.expected() == 1 && effort.is_complete()
+    });
+    assert!(!moves(bench.operator.model()));
     bench.end().await;
 }
 

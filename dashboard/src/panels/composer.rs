@@ -1,7 +1,11 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
-use super::{chooser::Purpose, editor, preview};
+use super::{
+    chooser::Purpose,
+    editor, preview,
+    reach::{Reach, reach_ui},
+};
 use crate::{
     estimate::{Estimate, estimate},
     files::is_capture,
@@ -21,9 +25,6 @@ use keys::{
 };
 use serde::{Deserialize, Serialize, Serializer};
 use std::{collections::BTreeSet, ops::Range, sync::Arc};
-
-/// Names of matching nodes that are spelled out.
-const NAMES_SHOWN: usize = 8;
 
 /// Least height of the text, rows.
 const EDITOR_ROWS: usize = 8;
@@ -263,53 +264,13 @@ fn without_id(payload: &str) -> String {
     serde_json::to_string_pretty(&job).unwrap_or_else(|_| payload.to_owned())
 }
 
-/// Whom a job would reach.
-struct Reach {
-    target: Result<Target, String>,
-    /// The nodes that are there.
-    there: Vec<NodeId>,
-    /// Selected ones that are not: their jobs wait.
-    waiting: Vec<NodeId>,
-}
-
-impl Reach {
-    fn of(model: &Model, view: &View) -> Self {
-        if view.composer.to_selection {
-            let is_there = |id: &NodeId| model.node(id).is_some_and(|node| node.is_there());
-            let (there, waiting) = view.selection.iter().copied().partition(is_there);
-            let none = || "no node is selected: Ctrl+click selects several".to_owned();
-            let nodes = (!view.selection.is_empty()).then(|| view.selection.clone());
-            let target = nodes.map(Target::Nodes).ok_or_else(none);
-            return Self {
-                target,
-                there,
-                waiting,
-            };
-        }
-        let pattern = Pattern::new(view.composer.target.trim());
-        let there = pattern.as_ref().map(|pattern| {
-            let nodes = model.matching(pattern);
-            nodes.map(|node| node.id()).collect()
-        });
-        Self {
-            there: there.unwrap_or_default(),
-            waiting: Vec::new(),
-            target: pattern.map(|pattern| Target::Node(pattern.as_str().to_owned())),
-        }
-    }
-
-    fn count(&self) -> usize {
-        self.there.len() + self.waiting.len()
-    }
-}
-
 /// Sends what is written to whom it is for: what the button does.
 ///
 /// # Errors
 /// Why it cannot be sent, for a person.
 pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<Ticket, String> {
     let reach = Reach::of(model, view);
-    let checked = view.composer.check(&start_of(model, &reach.there));
+    let checked = view.composer.check(&reach.start_steps(model));
     if let Some(why) = refusal(model, &reach, &checked) {
         return Err(why);
     }
@@ -326,7 +287,7 @@ pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<T
 pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
     let failed = take_opened(model, &mut view.composer);
     let reach = Reach::of(model, view);
-    let checked = view.composer.check(&start_of(model, &reach.there));
+    let checked = view.composer.check(&reach.start_steps(model));
     ui.horizontal_wrapped(|ui| {
         let composer = &mut view.composer;
         ui.selectable_value(&mut composer.language, Language::Json, "JSON");
@@ -358,14 +319,6 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .show(ui, |ui| preview::preview_ui(ui, estimate));
     }
     text_ui(ui, &mut view.composer, checked.place.clone());
-}
-
-/// Where a preview begins: at the only node's place, if it rests; else at 0.
-fn start_of(model: &Model, reach: &[NodeId]) -> Vec<i64> {
-    let [node] = reach else { return Vec::new() };
-    let node = model.node(node);
-    let resting = node.filter(|node| node.speeds_hz().iter().all(|speed| *speed == 0.0));
-    resting.map_or(Vec::new(), |node| node.positions_steps())
 }
 
 /// Returns why the job cannot be sent.
@@ -401,16 +354,6 @@ pub(super) fn no_way(model: &Model) -> Option<String> {
     } else {
         None
     }
-}
-
-fn names(nodes: &[NodeId]) -> String {
-    let shown: Vec<&str> = nodes.iter().take(NAMES_SHOWN).map(NodeId::as_str).collect();
-    let more = match nodes.len().saturating_sub(NAMES_SHOWN) {
-        0 => String::new(),
-        more => format!(" and {more} more"),
-    };
-    let count = text::count(nodes.len(), "node");
-    format!("{count}: {}{more}", shown.join(", "))
 }
 
 fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option<String>) {
@@ -462,28 +405,6 @@ fn text_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>
         }
         editor::editor_ui(ui, text, language, place.as_ref(), EDITOR_ROWS).labelled_by(label.id);
     });
-}
-
-fn reach_ui(ui: &mut Ui, model: &Model, reach: &Reach) {
-    let (tone, words) = match (&reach.target, &reach.there[..]) {
-        (Err(why), _) => (Tone::Quiet, why.clone()),
-        (Ok(_), nodes @ [_, ..]) => (Tone::Good, format!("● reaches {}", names(nodes))),
-        (Ok(Target::Node(chunk)), []) if !chunk.contains('*') => {
-            let known = NodeId::new(chunk).is_ok_and(|id| model.node(&id).is_some());
-            let words = match known {
-                true => "⚠ offline: the job waits until it returns",
-                false => "⚠ never heard of this node",
-            };
-            (Tone::Warn, words.to_owned())
-        }
-        (Ok(_), []) => (Tone::Warn, "⚠ reaches no node now".to_owned()),
-    };
-    ui.label(theme::toned(ui, tone, words));
-    if !reach.waiting.is_empty() {
-        let words = names(&reach.waiting);
-        let words = format!("⚠ offline, so that the job waits there: {words}");
-        ui.label(theme::toned(ui, Tone::Warn, words));
-    }
 }
 
 /// A script is never held back: what runs it is the node's own engine.
