@@ -329,7 +329,7 @@ async fn a_synchronized_job_is_followed_from_ready_through_the_countdown_to_the_
     );
 
     // What the window shows of each record at the moment of its writing.
-    let said = said.lock().expect("whole");
+    let said = std::mem::take(&mut *said.lock().expect("whole"));
     let ready: Vec<&str> = said.ready.iter().map(String::as_str).collect();
     let all_ready = NAMES.map(|name| format!("fleet/node/{name}/status"));
     assert_eq!(ready, all_ready);
@@ -347,7 +347,6 @@ async fn a_synchronized_job_is_followed_from_ready_through_the_countdown_to_the_
     let measured = at(" apart ± ");
     let in_order = waits.is_some() && waits < counts && counts < measured;
     assert!(in_order, "{shown:#?}");
-    drop(said);
     session.close().await.expect("closed");
     bench.end().await;
 }
