@@ -26,7 +26,7 @@ JOB
 for node in node-1 node-2 node-3; do fleet submit --node "$node" "$work/job.json" >/dev/null; done
 sleep 8
 # The page of the first node opens by a click on its name.
-xdotool mousemove "${CLICK_X:-250}" "${CLICK_Y:-140}" click 1
+xdotool mousemove "${CLICK_X:-285}" "${CLICK_Y:-140}" click 1
 picture fleet
 # Without a window manager nobody gives the window the keyboard.
 xdotool search --name Stepfleet windowfocus

@@ -12,22 +12,48 @@
 mod fixture;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dashboard::{app::Dashboard, message::Message, view::Tab};
-use egui::{Context, RawInput, Rect, pos2, vec2};
+use dashboard::{
+    app::Dashboard, message::Message, model::limits::SAMPLES_MAX, panels::node::Page, view::Tab,
+};
+use egui::{Context, RawInput, Rect, Shape, pos2, vec2};
 use fixture::{at_ms, many, node, statuses, tell};
 use std::hint::black_box;
 
 const NODES: usize = 500;
 
-fn frame(context: &Context, dashboard: &mut Dashboard) {
-    let input = RawInput {
+fn input() -> RawInput {
+    RawInput {
         screen_rect: Some(Rect::from_min_size(pos2(0.0, 0.0), vec2(1_440.0, 860.0))),
         ..RawInput::default()
-    };
-    let mut output = context.run_ui(input, |ui| dashboard.ui(ui));
+    }
+}
+
+fn frame(context: &Context, dashboard: &mut Dashboard) {
+    let mut output = context.run_ui(input(), |ui| dashboard.ui(ui));
     // Nothing draws them.
     output.textures_delta.clear();
     black_box(context.tessellate(output.shapes, 1.0));
+}
+
+/// Returns how many lines of many points a frame has.
+fn lines_drawn(context: &Context, dashboard: &mut Dashboard) -> usize {
+    let mut count = 0;
+    // The first frame of a panel only measures it.
+    for _ in 0..3 {
+        let mut output = context.run_ui(input(), |ui| dashboard.ui(ui));
+        output.textures_delta.clear();
+        let shapes = output.shapes.iter();
+        count = shapes.filter(|shape| has_line(&shape.shape)).count();
+    }
+    count
+}
+
+fn has_line(shape: &Shape) -> bool {
+    match shape {
+        Shape::Path(path) => path.points.len() > SAMPLES_MAX / 2,
+        Shape::Vec(shapes) => shapes.iter().any(has_line),
+        _ => false,
+    }
 }
 
 fn benches(criterion: &mut Criterion) {
@@ -59,7 +85,19 @@ fn benches(criterion: &mut Criterion) {
             });
         },
     );
-    fleet.view.focus = Some(node("node-007"));
+    for _ in 0..SAMPLES_MAX {
+        tick += 1;
+        statuses(&mut fleet, NODES, tick);
+    }
+    let plotted = node("node-007");
+    let samples = fleet
+        .model
+        .node(&plotted)
+        .map(|node| node.samples().iter().len());
+    assert_eq!(samples, Some(SAMPLES_MAX), "two minutes at 10/s");
+    (fleet.view.focus, fleet.view.node.page) = (Some(plotted), Page::Motion);
+    // Whoever breaks the way to the plots shall not measure a page without them.
+    assert!(lines_drawn(&context, &mut fleet) > 0, "the plots are drawn");
     criterion.bench_function(
         "a frame, 500 nodes, one page with two minutes of plots",
         |bencher| {

@@ -49,6 +49,11 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
+    /// Does what is due also while the window is hidden.
+    pub fn logic(&mut self, ctx: &egui::Context) {
+        panels::alarms::call(ctx, &self.model, &mut self.view, &mut self.sound);
+    }
+
     /// Shows everything.
     pub fn ui(&mut self, ui: &mut Ui) {
         for action in keyboard::pressed(ui.ctx()) {
@@ -65,21 +70,30 @@ impl Dashboard {
         panels::composer::take_dropped(ui, view);
         let now = model.now();
         for message in files.serve(ui.ctx(), model, session, view) {
-            session.heard(now, &message);
+            session.heard(now, &message, model);
             model.apply(now, message);
         }
-        Panel::top("top").show(ui, |ui| panels::top::top_ui(ui, model, view, requests));
+        Panel::top("top").show(ui, |ui| {
+            panels::top::top_ui(ui, model, session, view, requests);
+        });
         if panels::stop::is_shown(model, view) {
             Panel::top("stop").show(ui, |ui| panels::stop::stop_ui(ui, model, view, requests));
         }
         // Above are STOP ALL and its effect, which are always live.
-        if session.replay().is_some() {
+        if let Some(replay) = session.replay() {
             Panel::top("replay").show(ui, |ui| {
                 panels::recording::replay_ui(ui, session, model, view);
             });
-            ui.ctx().request_repaint_after(FRAME_EVERY);
+            if replay.is_behind() {
+                ui.ctx().request_repaint();
+            } else if replay.speed > 0.0 {
+                ui.ctx().request_repaint_after(FRAME_EVERY);
+            }
         }
         let model = session.replay().map_or(&*model, Replay::model);
+        if model.jobs().is_counting_down(model.now()) {
+            ui.ctx().request_repaint_after(FRAME_EVERY);
+        }
         Panel::bottom("lower")
             .resizable(true)
             // On a small screen the fleet keeps more than half of the room.
@@ -108,8 +122,7 @@ impl Dashboard {
         panels::release::release_ui(ui, model, view, requests);
         panels::help::help_ui(ui, view);
         panels::chooser::chooser_ui(ui, view, requests);
-        panels::composer::open_dropped(view, requests);
-        panels::alarms::call(ui, &self.model, &mut self.view, &mut self.sound);
+        panels::composer::open_dropped(ui, view, requests);
     }
 
     /// Does what a key says.
@@ -127,6 +140,9 @@ impl Dashboard {
                 view.tab = Tab::Compose;
                 view.composer.target_nodes(&view.selection);
             }
+            Action::GroupJob => view.tab = Tab::GroupJob,
+            Action::Pulses => view.tab = Tab::Pulses,
+            Action::Recording => view.tab = Tab::Recording,
             Action::Alarms => view.tab = Tab::Alarms,
             Action::Timeline => view.tab = Tab::Timeline,
             Action::Log => view.tab = Tab::Log,
@@ -179,8 +195,8 @@ impl Dashboard {
                     order: *order,
                 },
                 Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
-                Request::Cancel { .. }
-                | Request::Refresh
+                Request::Cancel { job } => Message::CancelAsked { ticket, job: *job },
+                Request::Refresh
                 | Request::Connect { .. }
                 | Request::ReadFile { .. }
                 | Request::WriteFile { .. } => continue,
@@ -192,7 +208,7 @@ impl Dashboard {
 
     /// Takes what happened at this moment.
     pub fn hear(&mut self, at: Moment, message: Message) {
-        self.session.heard(at, &message);
+        self.session.heard(at, &message, &self.model);
         self.model.apply(at, message);
     }
 }
@@ -246,11 +262,13 @@ impl App {
 }
 
 impl eframe::App for App {
-    fn logic(&mut self, _ctx: &egui::Context, _frame: &mut eframe::Frame) {
+    fn logic(&mut self, ctx: &egui::Context, _frame: &mut eframe::Frame) {
         for (at, message) in self.link.heard() {
             self.dashboard.hear(at, message);
         }
         self.dashboard.model.tick(self.link.now());
+        self.dashboard.logic(ctx);
+        ctx.request_repaint_after(FRAME_AT_LEAST_EVERY);
     }
 
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
@@ -265,7 +283,6 @@ impl eframe::App for App {
                 self.link.ask(ticket, request);
             }
         }
-        ui.ctx().request_repaint_after(FRAME_AT_LEAST_EVERY);
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {

@@ -1,7 +1,8 @@
 //! Plots as files: the numbers as CSV, the picture as PNG.
 
-use crate::{model::node::Node, panels::node::Page};
+use crate::{message::Moment, model::node::Node, panels::node::Page};
 use egui::ColorImage;
+use std::collections::BTreeMap;
 
 /// Returns the numbers of a page's plots, a line a moment; `None` for a page without plots.
 pub fn csv(node: &Node, page: Page) -> Option<String> {
@@ -41,13 +42,23 @@ fn motion_csv(node: &Node) -> String {
 }
 
 fn clock_csv(node: &Node) -> String {
-    let mut text = String::from("heard_unix_us,offset_us,error_us,drift_ppm\n");
+    let mut rows: BTreeMap<Moment, [String; 2]> = BTreeMap::new();
     for known in node.clocks().iter() {
         let clock = known.clock;
-        text += &format!(
-            "{},{},{},{}\n",
-            known.at.0, clock.offset_us, clock.error_us, clock.drift_ppm
-        );
+        let (offset_us, error_us) = (clock.offset_us, clock.error_us);
+        let row = rows.entry(known.at).or_default();
+        row[0] = format!("{offset_us},{error_us},{}", clock.drift_ppm);
+    }
+    for known in node.travelled().iter() {
+        let [shortest_us, longest_us] = known.rtt_us;
+        rows.entry(known.at).or_default()[1] = format!("{shortest_us},{longest_us}");
+    }
+    let mut text =
+        String::from("heard_unix_us,offset_us,error_us,drift_ppm,rtt_us_min,rtt_us_max\n");
+    for (at, [clock, travel]) in rows {
+        let clock = if clock.is_empty() { ",," } else { &clock };
+        let travel = if travel.is_empty() { "," } else { &travel };
+        text += &format!("{},{clock},{travel}\n", at.0);
     }
     text
 }

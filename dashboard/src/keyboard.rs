@@ -16,12 +16,18 @@ pub enum Action {
     Jobs,
     /// Show the composer.
     Compose,
+    /// Show the editor of synchronized jobs.
+    GroupJob,
     /// Show the alarms.
     Alarms,
     /// Show what the nodes did over time.
     Timeline,
     /// Show the log.
     Log,
+    /// Show the pulse inspector.
+    Pulses,
+    /// Show recording and replay.
+    Recording,
     /// Close what is open: help, the question before a release, the node's page.
     Close,
     /// Select every node that is shown.
@@ -40,7 +46,7 @@ enum Stroke {
 }
 
 /// Action, stroke, the stroke's name, what it does.
-const TABLE: [(Action, Stroke, &str, &str); 12] = [
+const TABLE: [(Action, Stroke, &str, &str); 15] = [
     (
         Action::StopAll,
         Stroke::Key(Modifiers::NONE, Key::F1),
@@ -79,6 +85,12 @@ const TABLE: [(Action, Stroke, &str, &str); 12] = [
         "compose a job for the selection",
     ),
     (
+        Action::GroupJob,
+        Stroke::Key(Modifiers::COMMAND, Key::G),
+        "Ctrl+G",
+        "compose a job for several nodes that start together",
+    ),
+    (
         Action::Alarms,
         Stroke::Key(Modifiers::COMMAND, Key::M),
         "Ctrl+M",
@@ -97,6 +109,18 @@ const TABLE: [(Action, Stroke, &str, &str); 12] = [
         "show the log",
     ),
     (
+        Action::Pulses,
+        Stroke::Key(Modifiers::COMMAND, Key::P),
+        "Ctrl+P",
+        "show the pulse inspector",
+    ),
+    (
+        Action::Recording,
+        Stroke::Key(Modifiers::COMMAND, Key::R),
+        "Ctrl+R",
+        "show recording and replay",
+    ),
+    (
         Action::Close,
         Stroke::Key(Modifiers::NONE, Key::Escape),
         "Esc",
@@ -110,10 +134,30 @@ pub fn table() -> impl Iterator<Item = (&'static str, &'static str)> {
     TABLE.iter().map(|(_, _, name, does)| (*name, *does))
 }
 
+fn is_repeated_stroke(event: &Event) -> bool {
+    let Event::Key {
+        key,
+        modifiers,
+        pressed: true,
+        repeat: true,
+        ..
+    } = event
+    else {
+        return false;
+    };
+    let is_it = |stroke: Stroke| match stroke {
+        Stroke::Key(with, of) => of == *key && modifiers.matches_logically(with),
+        Stroke::PlainKey(..) | Stroke::Plain(_) => false,
+    };
+    TABLE.iter().any(|(_, stroke, ..)| is_it(*stroke))
+}
+
 /// Returns what was called since the last frame, and takes the strokes away from everybody else.
 pub fn pressed(ctx: &Context) -> Vec<Action> {
     let typing = ctx.text_edit_focused();
     ctx.input_mut(|input| {
+        // A key that is held down repeats itself, which is no new wish.
+        input.events.retain(|event| !is_repeated_stroke(event));
         let mut actions = Vec::new();
         for (action, stroke, _, _) in TABLE {
             let called = match stroke {

@@ -53,6 +53,7 @@ pub mod export;
 pub mod files;
 pub mod keyboard;
 pub mod link;
+pub mod lua;
 pub mod message;
 pub mod model;
 pub mod panels;

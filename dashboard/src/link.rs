@@ -22,7 +22,10 @@ use crate::{
 use inbox::Inbox;
 use keys::{Keys, credentials::Credentials};
 use std::{
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     thread::JoinHandle,
     time::{Instant, SystemTime, UNIX_EPOCH},
 };
@@ -59,27 +62,49 @@ pub struct LinkConfig {
     pub credentials: Option<Credentials>,
 }
 
+/// How far the computer's clock may be ahead before that is taken for a sleep, µs.
+const SLEEP_US_MIN: u64 = 2_000_000;
+
 /// Tells [`Moment`]s.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Clock {
-    anchor_us: u64,
+    // Shared: all that tell the time tell the same.
+    anchor_us: Arc<AtomicU64>,
     started: Instant,
 }
 
 impl Clock {
-    /// Reads the computer's clock, once.
+    /// Reads the computer's clock.
     pub fn start() -> Self {
-        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH);
         Self {
-            anchor_us: since_epoch.map_or(0, |since| since.as_micros() as u64),
+            anchor_us: Arc::new(AtomicU64::new(wall_us())),
             started: Instant::now(),
         }
     }
 
     /// Returns the present.
     pub fn now(&self) -> Moment {
-        Moment(self.anchor_us).plus_us(self.started.elapsed().as_micros() as u64)
+        self.tell(self.started.elapsed().as_micros() as u64, wall_us())
     }
+
+    /// Returns the present, so long after the start by the monotone clock, which stands still while
+    /// the computer sleeps.
+    fn tell(&self, elapsed_us: u64, wall_us: u64) -> Moment {
+        let anchor_us = self.anchor_us.load(Ordering::Relaxed);
+        let told_us = anchor_us.saturating_add(elapsed_us);
+        if wall_us.saturating_sub(told_us) < SLEEP_US_MIN {
+            return Moment(told_us);
+        }
+        // Another thread may have noticed too; the later one is right.
+        let anchor_us = wall_us.saturating_sub(elapsed_us);
+        let before_us = self.anchor_us.fetch_max(anchor_us, Ordering::Relaxed);
+        Moment(before_us.max(anchor_us).saturating_add(elapsed_us))
+    }
+}
+
+fn wall_us() -> u64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH);
+    since_epoch.map_or(0, |since| since.as_micros() as u64)
 }
 
 /// What travels to the link's thread.
@@ -105,7 +130,7 @@ impl Link {
         clock: Clock,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> std::io::Result<Self> {
-        let inbox = Arc::new(Inbox::new(clock, wake));
+        let inbox = Arc::new(Inbox::new(clock.clone(), wake));
         let (urgent, urgent_end) = mpsc::channel(REQUESTS_MAX);
         let (ordinary, ordinary_end) = mpsc::channel(REQUESTS_MAX);
         let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -165,5 +190,28 @@ impl Drop for Link {
             // A panic in there has been printed; the window goes anyway.
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_is_right_again_after_the_computer_slept_and_never_goes_back() {
+        let clock = Clock {
+            anchor_us: Arc::new(AtomicU64::new(1_000_000_000)),
+            started: Instant::now(),
+        };
+        let second = 1_000_000;
+        let tell = |elapsed_s: u64, wall_s: u64| {
+            clock.tell(elapsed_s * second, wall_s * second).0 / second
+        };
+        assert_eq!(tell(5, 1_005), 1_005);
+        // Set back, or a little ahead, by somebody or by the network's time.
+        assert_eq!((tell(6, 500), tell(7, 1_008)), (1_006, 1_007));
+        // Slept for an hour.
+        assert_eq!(tell(8, 4_608), 4_608);
+        assert_eq!((tell(9, 4_609), tell(10, 4_000)), (4_609, 4_610));
     }
 }

@@ -120,3 +120,27 @@ fn password(file: &Path) -> anyhow::Result<String> {
     }
     Ok(password.to_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(arguments: &[&str]) -> Result<Place, String> {
+        let all = ["dashboard"].iter().chain(arguments);
+        let arguments = Arguments::try_parse_from(all).map_err(|error| error.to_string())?;
+        let config = link_config(&arguments).map_err(|error| error.to_string())?;
+        Ok(config.place)
+    }
+
+    #[test]
+    fn where_to_connect_is_said_once_and_else_tried() {
+        assert_eq!(place(&[]), Ok(Place::Automatic));
+        assert_eq!(place(&["--scout"]), Ok(Place::Scouted));
+        let named = Place::At("tcp/left:7447".to_owned());
+        assert_eq!(place(&["--connect", "tcp/left:7447"]), Ok(named));
+        let refused = place(&["--connect", "tcp/left:7447", "--scout"]).expect_err("both");
+        assert!(refused.contains("cannot be used with"), "{refused}");
+        let refused = place(&["--connect", "left"]).expect_err("no address");
+        assert!(refused.contains("tls/HOST:PORT"), "{refused}");
+    }
+}

@@ -8,7 +8,8 @@ use keys::{
 use serde::{Deserialize, Serialize};
 
 /// A moment on this computer: UTC in µs as it was told when the program started, moved on by the
-/// monotone clock since. It never jumps, so ages and durations are differences of two of them.
+/// monotone clock since, and set forward after a sleep of the computer. It never goes back, so ages
+/// and durations are differences of two of them.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -102,6 +103,13 @@ pub enum Message {
         payload: String,
         /// In which language.
         language: Language,
+    },
+    /// The operator asked for the end of a job.
+    CancelAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// Which.
+        job: JobId,
     },
     /// The operator asked for a change of a node's motion.
     OrderAsked {

@@ -74,6 +74,8 @@ pub struct Totals {
     pub running: usize,
     /// With the stop latch set.
     pub stopped: usize,
+    /// That report a fault.
+    pub faults: usize,
     /// The largest clock error of the nodes that are there, µs; `None` if none is known.
     pub worst_clock_error_us: Option<f64>,
     /// Nodes that are there and whose clock is not known.
@@ -103,9 +105,10 @@ impl Model {
                 }
             }
             Message::Job(record) => {
-                let promised_us = self.jobs.promised_skew_us(&record.job);
-                self.alarms.job(at, &record, promised_us);
-                self.jobs.record(*record);
+                if let Some(promised_us) = self.jobs.promised_skew_us(&record) {
+                    self.alarms.job(at, &record, promised_us);
+                }
+                self.jobs.record(at, *record);
             }
             Message::Log { node, text } => self.log.push(at, Source::Node(node), text),
             Message::Unreadable { key, why } => {
@@ -140,6 +143,11 @@ impl Model {
                 payload,
                 language,
             } => self.jobs.asked(ticket, target, payload, language, at),
+            Message::CancelAsked { ticket, job } => {
+                let words = format!("cancel of {job} asked for");
+                self.log.push(at, Source::Window, words);
+                self.jobs.cancel_asked(at, ticket, job);
+            }
             Message::OrderAsked {
                 ticket,
                 node,
@@ -269,6 +277,7 @@ impl Model {
             }
             totals.running += usize::from(node.word() == NodeWord::Running);
             totals.stopped += usize::from(node.word() == NodeWord::Stopped);
+            totals.faults += usize::from(node.word() == NodeWord::Fault);
             if node.is_there() {
                 match node.clock() {
                     Some(clock) => {
@@ -331,7 +340,7 @@ impl Model {
 
     fn status(&mut self, at: Moment, node: NodeId, status: Status) {
         for effort in &mut self.efforts {
-            effort.heard(at, node, status.state);
+            effort.heard(at, node, &status);
         }
         if let Some(known) = self.node_mut(node, at) {
             known.status(at, status);

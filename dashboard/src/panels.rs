@@ -14,6 +14,7 @@ pub mod node;
 mod node_plots;
 mod preview;
 pub mod pulses;
+mod reach;
 pub mod recording;
 pub mod release;
 pub mod stop;

@@ -6,7 +6,7 @@
 //!
 //! The rate has a bound: [`Thinner`] leaves out statuses above [`STATUSES_PER_S`] of a node, which
 //! are complete each time, and everything above [`BYTES_PER_S`]; what is left out is counted in the
-//! file. The file has one too, [`BYTES_MAX`].
+//! file. A file has one too, [`BYTES_MAX`], and a recording as many as [`PARTS_MAX`].
 
 pub mod recorder;
 pub mod replay;
@@ -29,8 +29,13 @@ pub const STATUSES_PER_S: f64 = 10.0;
 /// Bytes in a second that are written, over a second.
 pub const BYTES_PER_S: f64 = 4e6;
 
-/// Largest file that is written or read: 256 MiB, an hour of 50 nodes at 4 statuses a second.
+/// Largest file that is written or read: 256 MiB, an hour of 50 nodes at 4 statuses a second, and
+/// a little more than a minute of the highest rate. A recording goes on in a next file, which begins
+/// with all that is known then and so can be shown alone.
 pub const BYTES_MAX: u64 = 256 << 20;
+
+/// Files of one recording: 16 GiB, more than an hour of the highest rate.
+pub const PARTS_MAX: u32 = 64;
 
 /// Lines that cannot be read and are skipped; after more the file is refused.
 const BROKEN_MAX: usize = 100;

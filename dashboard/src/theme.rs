@@ -34,6 +34,12 @@ pub enum Tone {
     Bad,
 }
 
+/// Usual text, and text of no interest: apart at a glance, and both readable.
+const PLAIN_DARK: Color32 = Color32::from_gray(225);
+const PLAIN_LIGHT: Color32 = Color32::from_gray(20);
+const QUIET_DARK: Color32 = Color32::from_gray(140);
+const QUIET_LIGHT: Color32 = Color32::from_gray(105);
+
 impl Tone {
     /// Returns the colour for text on the panels' background; contrast at least 4.5 : 1 in both
     /// themes.
@@ -42,7 +48,7 @@ impl Tone {
         let pick = |dark, light| if visuals.dark_mode { dark } else { light };
         match self {
             Self::Plain => visuals.text_color(),
-            Self::Quiet => pick(Color32::from_gray(150), Color32::from_gray(95)),
+            Self::Quiet => pick(QUIET_DARK, QUIET_LIGHT),
             Self::Good => pick(
                 Color32::from_rgb(110, 200, 120),
                 Color32::from_rgb(20, 110, 40),
@@ -218,6 +224,14 @@ pub fn apply(ctx: &egui::Context) {
     let proportional = fonts.families.entry(FontFamily::Proportional).or_default();
     proportional.push("Hack".to_owned());
     ctx.set_fonts(fonts);
+    for (theme, plain) in [
+        (egui::Theme::Dark, PLAIN_DARK),
+        (egui::Theme::Light, PLAIN_LIGHT),
+    ] {
+        ctx.style_mut_of(theme, |style| {
+            style.visuals.widgets.noninteractive.fg_stroke.color = plain;
+        });
+    }
     ctx.all_styles_mut(|style| {
         style.text_styles = [
             (TextStyle::Small, 11.0, FontFamily::Proportional),

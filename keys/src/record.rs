@@ -1,6 +1,9 @@
 //! What clients read: job records, node records, receipts and errors, as JSON.
 
-use crate::{AxisId, FleetMicros, GroupId, JobId, NodeId, NodeState, StopReason, units::rfc3339};
+use crate::{
+    AxisId, FleetMicros, GroupId, JobId, NodeId, NodeState, StopReason,
+    units::{rfc3339, rfc3339_option},
+};
 use serde::{Deserialize, Serialize};
 use std::{borrow::ToOwned, boxed::Box, collections::BTreeMap, string::String, vec::Vec};
 
@@ -224,6 +227,9 @@ pub struct StartRecord {
     pub by_node_us: BTreeMap<NodeId, f64>,
     /// How far the skew may be wrong, µs.
     pub uncertainty_us: f64,
+    /// The largest skew that the job was promised, µs; `None` from a gateway that does not tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_skew_us: Option<f64>,
 }
 
 /// A job's record, on `PREFIX/job/JOB`.
@@ -253,6 +259,14 @@ pub struct JobRecord {
     pub result: Option<JobResult>,
     /// The parts of a synchronized job, by node.
     pub parts: Option<BTreeMap<NodeId, PartRecord>>,
+    /// The instant at which a synchronized job starts, from when it is fixed until every node has
+    /// started or the job ends without.
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        with = "rfc3339_option"
+    )]
+    pub starts_at: Option<FleetMicros>,
     /// The start of a synchronized job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Box<StartRecord>>,

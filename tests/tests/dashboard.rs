@@ -11,18 +11,24 @@
 mod operator;
 
 use dashboard::{
-    message::Answer,
+    message::{Answer, Message, Moment},
     model::{Model, effort::Sending, node::Concern},
+    panels::group_job,
     request::{Order, Request, Scope},
     text,
 };
 use emulator::{EmulatedHandle, EmulatorConfig};
 use gateway::{config::GatewayConfig, service::Service};
 use keys::{
-    JobId, NodeId, StopMode,
-    record::{JobState, NodeWord},
+    JobId, NodeId, NodeState, Status, StopMode,
+    record::{JobRecord, JobState, NodeWord},
+    version,
 };
 use operator::{Operator, answer};
+use std::{
+    collections::BTreeSet,
+    sync::{Arc, Mutex},
+};
 
 struct Bench {
     operator: Operator,
@@ -120,7 +126,7 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
 
     let ticket = bench
         .operator
-        .submit("left", r#"{"commands":[{"jump":{}}]}"#);
+        .submit_unchecked("left", r#"{"commands":[{"jump":{}}]}"#);
     bench
         .operator
         .until("a refusal", |model| answer(model, ticket).is_some());
@@ -169,6 +175,24 @@ async fn a_job_is_followed_to_its_end_and_a_stop_until_all_have_confirmed() {
         let effort = model.efforts().next().expect("begun");
         effort.ticket() == ticket && effort.expected() == 3 && effort.is_complete()
     });
+
+    // A slow stop is over when the node is at rest, and that it says itself.
+    let job = r#"{"commands":[{"ramp":{"axis":0,"steps":1000000,"speed_hz":2000,"accel":4000}}]}"#;
+    bench.operator.submit("left", job);
+    let moves = |model: &Model| {
+        let node = model.node(&left).expect("known");
+        node.speeds_hz()
+            .first()
+            .is_some_and(|speed_hz| *speed_hz != 0.0)
+    };
+    bench.operator.until("it moves", moves);
+    let (scope, mode) = (Scope::node(left), StopMode::Decelerate);
+    let ticket = bench.operator.ask(Request::Stop { scope, mode });
+    bench.operator.until("it has come to rest", |model| {
+        let effort = model.efforts().next().expect("begun");
+        effort.ticket() == ticket && effort.expected() == 1 && effort.is_complete()
+    });
+    assert!(!moves(bench.operator.model()));
     bench.end().await;
 }
 
@@ -215,5 +239,114 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
         let node = model.node(&id).expect("known");
         model.concern(node) == Some(Concern::Lost)
     });
+    bench.end().await;
+}
+
+/// What was said about jobs, and which nodes said that they are ready, in order.
+#[derive(Default)]
+struct Said {
+    records: Vec<JobRecord>,
+    ready: BTreeSet<String>,
+}
+
+/// Writes down everything from now on. The window itself shows the latest only, and on a busy
+/// machine passes over what lasts a quarter of a second.
+async fn listener(locator: &str) -> (zenoh::Session, Arc<Mutex<Said>>) {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{locator}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).expect("a setting");
+    }
+    let session = zenoh::open(config).await.expect("a session");
+    let said = Arc::new(Mutex::new(Said::default()));
+    let of_records = Arc::clone(&said);
+    let records = session.declare_subscriber("fleet/job/*");
+    let records = records.callback(move |sample| {
+        if let Ok(record) = serde_json::from_slice(&sample.payload().to_bytes()) {
+            of_records.lock().expect("whole").records.push(record);
+        }
+    });
+    records.background().await.expect("declared");
+    let of_states = Arc::clone(&said);
+    let states = session.declare_subscriber("fleet/node/*/status");
+    let states = states.callback(move |sample| {
+        let status: Result<Status, _> = version::decode(&sample.payload().to_bytes());
+        if status.is_ok_and(|status| status.state == NodeState::Ready) {
+            let key = sample.key_expr().to_string();
+            of_states.lock().expect("whole").ready.insert(key);
+        }
+    });
+    states.background().await.expect("declared");
+    // On the same way as what was declared, so behind it.
+    let replies = session.get("fleet/job/nobody").await.expect("asked");
+    while replies.recv_async().await.is_ok() {}
+    (session, said)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_synchronized_job_is_followed_from_ready_through_the_countdown_to_the_measured_skew() {
+    let mut bench = Bench::start().await;
+    bench
+        .operator
+        .until("three idle nodes, and clocks", |model| {
+            let mut nodes = model.nodes();
+            let clocks = nodes.all(|node| node.clock().is_some());
+            all(model, NodeWord::Idle) && clocks && model.link().gateway() == Some(true)
+        });
+    let (session, said) = listener(&bench.locator).await;
+    let ids = NAMES.map(|name| NodeId::new(name).expect("a name"));
+    let part = r#"{"commands":[{"move":{"axis":0,"delay_us":500,"steps":200}}]}"#;
+    let parts = ids.map(|id| (id, part.to_owned()));
+    // Such as a busy machine's clocks can keep.
+    bench.operator.dashboard.view.group_job.max_skew_us = 500_000.0;
+    bench.operator.dashboard.view.group_job.ready_timeout_ms = 60_000.0;
+    let ticket = bench.operator.start_together("saws", &parts);
+    bench
+        .operator
+        .until("a receipt", |model| answer(model, ticket).is_some());
+    let job = answer(bench.operator.model(), ticket).map(Answer::jobs);
+    let job = *job.expect("an answer").first().expect("it is taken");
+    bench.operator.until("it has ended", |model| {
+        let record = model.jobs().get(&job);
+        record.is_some_and(|record| record.state.is_final())
+    });
+    let model = bench.operator.model();
+    let record = model.jobs().get(&job).expect("known").clone();
+    let (_, words) = group_job::progress(model, &record);
+    assert_eq!(record.state, JobState::Succeeded, "{words}");
+    let start = record.start.as_ref().expect("measured");
+    assert_eq!(start.by_node_us.len(), 3);
+    assert!(
+        words.contains(", started ") && words.contains(" apart ± "),
+        "{words}"
+    );
+    assert_eq!(
+        (start.max_skew_us, model.jobs().starts(&job)),
+        (Some(500_000.0), None)
+    );
+
+    // What the window shows of each record at the moment of its writing.
+    let said = std::mem::take(&mut *said.lock().expect("whole"));
+    let ready: Vec<&str> = said.ready.iter().map(String::as_str).collect();
+    let all_ready = NAMES.map(|name| format!("fleet/node/{name}/status"));
+    assert_eq!(ready, all_ready);
+    let mut window = Model::default();
+    let mut shown = Vec::new();
+    for told in said.records.iter().filter(|told| told.job == job) {
+        window.apply(Moment(told.updated.0), Message::Job(Box::new(told.clone())));
+        shown.push(group_job::progress(&window, told).1);
+        if let Some(starts_at) = told.starts_at {
+            assert_eq!((starts_at, &told.start), (start.planned, &None));
+        }
+    }
+    let at = |part: &str| shown.iter().position(|words| words.contains(part));
+    let (waits, counts) = (at(" of 3 ready"), at(", all ready, starts in "));
+    let measured = at(" apart ± ");
+    let in_order = waits.is_some() && waits < counts && counts < measured;
+    assert!(in_order, "{shown:#?}");
+    session.close().await.expect("closed");
     bench.end().await;
 }

@@ -135,11 +135,12 @@ impl Performer {
         match request {
             Request::Stop { scope, mode } => self.stop(&scope, mode).await,
             Request::Release { scope } => {
-                let mut replies = Vec::new();
-                for chunk in scope.chunks() {
+                let chunks = scope.chunks().into_iter();
+                let keys = chunks.map(|chunk| {
                     let key = format!("{}/node/{chunk}/release", self.keys.prefix());
-                    replies.extend(self.get(&key, None).await?);
-                }
+                    (chunk, key)
+                });
+                let replies = self.get_each(keys.collect(), None).await;
                 Ok(self.done(replies))
             }
             Request::Order { node, order } => {
@@ -191,25 +192,23 @@ impl Performer {
         language: Language,
         text: String,
     ) -> zenoh::Result<Answer> {
-        let of_node = |chunk: &str| format!("{}/node/{chunk}/job", self.keys.prefix());
+        let of_node = |chunk: &str| {
+            let key = format!("{}/node/{chunk}/job", self.keys.prefix());
+            (chunk.to_owned(), key)
+        };
         let keys = match target {
             Target::Node(chunk) => vec![of_node(chunk)],
             Target::Nodes(nodes) => nodes.iter().map(|node| of_node(node.as_str())).collect(),
-            Target::Group(group) => vec![self.keys.group_job(group).as_str().to_owned()],
+            Target::Group(group) => {
+                let key = self.keys.group_job(group).as_str().to_owned();
+                vec![(group.to_string(), key)]
+            }
         };
         let encoding = match language {
             Language::Json => Encoding::APPLICATION_JSON,
             Language::Lua => Encoding::from("text/x-lua"),
         };
-        let mut gets = tokio::task::JoinSet::new();
-        for key in keys {
-            let (performer, payload) = (self.clone(), Some((text.clone(), encoding.clone())));
-            gets.spawn(async move { performer.get(&key, payload).await });
-        }
-        let mut replies = Vec::new();
-        while let Some(got) = gets.join_next().await {
-            replies.extend(got??);
-        }
+        let replies = self.get_each(keys, Some((text, encoding))).await;
         if replies.is_empty() {
             return Ok(self.silence());
         }
@@ -256,6 +255,26 @@ impl Performer {
         })
     }
 
+    /// Asks all of them at once, each with a name for a person. One that fails or stays silent
+    /// takes nothing from the others; if all are silent, nothing is returned.
+    async fn get_each(
+        &self,
+        keys: Vec<(String, String)>,
+        payload: Option<(String, Encoding)>,
+    ) -> Vec<Reply> {
+        let mut gets = tokio::task::JoinSet::new();
+        for (name, key) in keys {
+            let (performer, payload) = (self.clone(), payload.clone());
+            gets.spawn(async move { (name, performer.get(&key, payload).await) });
+        }
+        let mut answers = Vec::new();
+        while let Some(got) = gets.join_next().await {
+            // A panic in there has been printed.
+            answers.extend(got);
+        }
+        gathered(answers)
+    }
+
     async fn get(
         &self,
         selector: &str,
@@ -284,7 +303,8 @@ impl Performer {
                         Err(_) if answers.is_empty() => break,
                         Err(_) => {
                             let seconds = ANSWER_MAX.as_secs();
-                            return Err(format!("no answer from all within {seconds} s").into());
+                            let words = format!("no answer from all within {seconds} s");
+                            answers.push(Err(JobError::new(ErrorCode::Internal, words)));
                         }
                     }
                 }
@@ -292,6 +312,29 @@ impl Performer {
         }
         Ok(answers)
     }
+}
+
+/// What each of several questions was answered, with its name for a person.
+type Answers<T> = Vec<(String, zenoh::Result<Vec<Result<T, JobError>>>)>;
+
+/// Puts together what several questions were answered.
+fn gathered<T>(answers: Answers<T>) -> Vec<Result<T, JobError>> {
+    let all_silent = answers
+        .iter()
+        .all(|(_, got)| got.as_ref().is_ok_and(Vec::is_empty));
+    if all_silent {
+        return Vec::new();
+    }
+    let mut replies = Vec::new();
+    for (name, got) in answers {
+        let wrong = |words: String| JobError::new(ErrorCode::Internal, words);
+        match got {
+            Ok(got) if got.is_empty() => replies.push(Err(wrong(format!("{name}: no answer")))),
+            Ok(got) => replies.extend(got),
+            Err(error) => replies.push(Err(wrong(format!("{name}: zenoh: {error}")))),
+        }
+    }
+    replies
 }
 
 /// Returns the nodes whose token is there.
@@ -316,4 +359,36 @@ pub(super) async fn tokens(
         }
     }
     Ok(nodes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_that_fails_or_is_silent_takes_nothing_from_the_others() {
+        let answer = |name: &str, got| (name.to_owned(), got);
+        let silent = || answer("silent", Ok(Vec::new()));
+        let refused = JobError::new(ErrorCode::UnknownNode, "nobody");
+        let all = gathered(vec![
+            answer("left", Ok(vec![Ok(1)])),
+            answer("cut", Err("closed".into())),
+            silent(),
+            answer("right", Ok(vec![Ok(2), Err(refused.clone())])),
+        ]);
+        let words = |reply: &Result<i32, JobError>| match reply {
+            Ok(number) => number.to_string(),
+            Err(error) => error.message.clone(),
+        };
+        let words: Vec<String> = all.iter().map(words).collect();
+        let expected = [
+            "1",
+            "cut: zenoh: closed",
+            "silent: no answer",
+            "2",
+            "nobody",
+        ];
+        assert_eq!(words, expected);
+        assert_eq!(gathered::<i32>(vec![silent(), silent()]), []);
+    }
 }

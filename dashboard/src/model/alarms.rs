@@ -206,6 +206,11 @@ impl Alarms {
         self.forgotten_unseen
     }
 
+    /// Returns how many have a cause that is not over.
+    pub fn open(&self) -> usize {
+        self.open.len()
+    }
+
     /// Returns the number of the latest, 0 before the first: tells whether there is a new one.
     pub fn latest(&self) -> u64 {
         self.next
@@ -363,6 +368,7 @@ mod tests {
             skew_us,
             by_node_us: std::collections::BTreeMap::new(),
             uncertainty_us: 20.0,
+            max_skew_us: Some(1_000.0),
         };
         for (version, skew_us) in [(1, 900.0), (2, 1_200.0), (3, 1_200.0)] {
             late.version = version;
@@ -374,6 +380,15 @@ mod tests {
         let mut old = job("old", 1, 1, keys::record::JobState::Running);
         old.start = Some(Box::new(start(5_000.0, 1)));
         model.apply(at(1_000), Message::Job(Box::new(old)));
+        assert_eq!(told(&model).len(), 1);
+        // What others were promised is theirs to say; without a word nobody knows.
+        for (name, promised_us) in [("theirs", Some(8_000.0)), ("silent", None)] {
+            let mut other = job(name, at(0).0, 1, keys::record::JobState::Running);
+            let mut start = start(5_000.0, at(0).0);
+            start.max_skew_us = promised_us;
+            other.start = Some(Box::new(start));
+            model.apply(at(1_000), Message::Job(Box::new(other)));
+        }
         assert_eq!(told(&model).len(), 1);
     }
 

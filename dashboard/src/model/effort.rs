@@ -4,7 +4,7 @@ use crate::{
     message::{Answer, Moment},
     request::{Scope, Ticket},
 };
-use keys::{NodeId, NodeState, StopMode, record::JobError};
+use keys::{NodeId, NodeState, Status, StopMode, record::JobError};
 use std::collections::BTreeMap;
 
 /// What was asked for.
@@ -27,6 +27,17 @@ pub enum Sending {
     Failed(String),
 }
 
+/// How far a node is, by its own word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Heard {
+    /// It has said nothing of it yet.
+    Nothing,
+    /// Its latch is set, and it still moves.
+    Latched,
+    /// It did what was asked: of a stop, its latch is set and nothing moves.
+    Done(Moment),
+}
+
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Effort {
@@ -35,8 +46,7 @@ pub struct Effort {
     scope: Scope,
     asked: Moment,
     sending: Sending,
-    // `None`: not yet.
-    nodes: BTreeMap<NodeId, Option<Moment>>,
+    nodes: BTreeMap<NodeId, Heard>,
     refused: Vec<JobError>,
 }
 
@@ -54,19 +64,27 @@ impl Effort {
             scope,
             asked,
             sending: Sending::Waiting,
-            nodes: expected.into_iter().map(|node| (node, None)).collect(),
+            nodes: expected
+                .into_iter()
+                .map(|node| (node, Heard::Nothing))
+                .collect(),
             refused: Vec::new(),
         }
     }
 
-    pub(super) fn heard(&mut self, at: Moment, node: NodeId, state: NodeState) {
-        let wanted = match self.kind {
-            Kind::Stop(_) => matches!(state, NodeState::Stopped | NodeState::Fault),
-            Kind::Release => state != NodeState::Stopped,
+    pub(super) fn heard(&mut self, at: Moment, node: NodeId, status: &Status) {
+        let Some(open @ (Heard::Nothing | Heard::Latched)) = self.nodes.get_mut(&node) else {
+            return;
         };
-        if wanted && let Some(open @ None) = self.nodes.get_mut(&node) {
-            *open = Some(at);
-        }
+        let latched = matches!(status.state, NodeState::Stopped | NodeState::Fault);
+        // A node sets its latch at once, also when it decelerates first.
+        let moves = status.axes.iter().any(|axis| axis.speed_mhz != 0);
+        *open = match self.kind {
+            Kind::Stop(_) if latched && moves => Heard::Latched,
+            Kind::Stop(_) if latched => Heard::Done(at),
+            Kind::Release if status.state != NodeState::Stopped => Heard::Done(at),
+            _ => return,
+        };
     }
 
     pub(super) fn answer(&mut self, _at: Moment, answer: &Answer) {
@@ -125,23 +143,40 @@ impl Effort {
 
     /// Returns how many have.
     pub fn confirmed(&self) -> usize {
-        self.nodes.values().flatten().count()
+        self.done().count()
     }
 
-    /// Returns those that have not.
+    /// Returns those that have said nothing of it.
     pub fn missing(&self) -> impl Iterator<Item = NodeId> {
-        let missing = self.nodes.iter().filter(|(_, at)| at.is_none());
-        missing.map(|(node, _)| *node)
+        self.those(Heard::Nothing)
+    }
+
+    /// Returns those whose latch is set and that still come to rest.
+    pub fn coming_to_rest(&self) -> impl Iterator<Item = NodeId> {
+        self.those(Heard::Latched)
     }
 
     /// Returns the time from asking to the last confirmation so far, s.
     pub fn took_s(&self) -> Option<f64> {
-        let latest = self.nodes.values().flatten().max()?;
+        let latest = self.done().max()?;
         Some(latest.since_s(self.asked))
     }
 
-    /// Returns whether nobody is missing.
+    /// Returns whether everybody has.
     pub fn is_complete(&self) -> bool {
-        self.nodes.values().all(Option::is_some)
+        self.confirmed() == self.expected()
+    }
+
+    fn done(&self) -> impl Iterator<Item = Moment> {
+        self.nodes.values().filter_map(|heard| match heard {
+            Heard::Done(at) => Some(*at),
+            Heard::Nothing | Heard::Latched => None,
+        })
+    }
+
+    fn those(&self, wanted: Heard) -> impl Iterator<Item = NodeId> {
+        let nodes = self.nodes.iter();
+        let nodes = nodes.filter(move |(_, heard)| **heard == wanted);
+        nodes.map(|(node, _)| *node)
     }
 }

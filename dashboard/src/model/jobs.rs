@@ -1,6 +1,6 @@
 //! The jobs that the gateway tells of, and those that this window sent.
 
-use super::limits::{JOBS_MAX, SENT_BYTES_MAX, SENT_MAX, SKEW_PROMISED_US};
+use super::limits::{CANCELS_MAX, JOBS_MAX, SENT_BYTES_MAX, SENT_MAX, SKEW_PROMISED_US};
 use crate::{
     message::{Answer, Moment},
     request::{Language, Ticket},
@@ -38,17 +38,33 @@ impl Sent {
     }
 }
 
+/// What this window asked to end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cancel {
+    /// Identifies the request.
+    pub ticket: Ticket,
+    /// Which job.
+    pub job: JobId,
+    /// When.
+    pub at: Moment,
+    /// What the gateway said; `None` until it does.
+    pub answer: Option<Answer>,
+}
+
 /// See the module.
 #[derive(Debug, Default)]
 pub struct Jobs {
     records: BTreeMap<JobId, JobRecord>,
+    // By this window's clock; of those alone whose start is fixed and not over.
+    starts: BTreeMap<JobId, Moment>,
+    cancels: VecDeque<Cancel>,
     by_age: BTreeSet<(FleetMicros, JobId)>,
     sent: VecDeque<Sent>,
     revision: u64,
 }
 
 impl Jobs {
-    pub(super) fn record(&mut self, record: JobRecord) {
+    pub(super) fn record(&mut self, at: Moment, record: JobRecord) {
         let key = (record.created, record.job);
         match self.records.get(&record.job) {
             // An id that was made again after its record was forgotten starts at version 1.
@@ -64,9 +80,23 @@ impl Jobs {
                 }
                 if let Some((_, oldest)) = self.by_age.pop_first() {
                     self.records.remove(&oldest);
+                    self.starts.remove(&oldest);
                 }
             }
             None => {}
+        }
+        match record.starts_at {
+            // The gateway's clock may be another one: the record was true when it was written, and
+            // that is now.
+            Some(starts_at) => {
+                let left_us = starts_at.0.saturating_sub(record.updated.0);
+                let starts = at.plus_us(left_us);
+                let known = self.starts.entry(record.job).or_insert(starts);
+                *known = starts.min(*known);
+            }
+            None => {
+                self.starts.remove(&record.job);
+            }
         }
         self.by_age.insert(key);
         self.records.insert(record.job, record);
@@ -99,7 +129,26 @@ impl Jobs {
         });
     }
 
+    pub(super) fn cancel_asked(&mut self, at: Moment, ticket: Ticket, job: JobId) {
+        self.cancels.retain(|cancel| cancel.job != job);
+        if self.cancels.len() == CANCELS_MAX {
+            self.cancels.pop_front();
+        }
+        let answer = None;
+        self.cancels.push_back(Cancel {
+            ticket,
+            job,
+            at,
+            answer,
+        });
+    }
+
     pub(super) fn answer(&mut self, ticket: Ticket, answer: Answer) {
+        let mut cancels = self.cancels.iter_mut();
+        if let Some(cancel) = cancels.find(|cancel| cancel.ticket == ticket) {
+            cancel.answer = Some(answer);
+            return;
+        }
         let mut sent = self.sent.iter_mut();
         if let Some(sent) = sent.find(|sent| sent.ticket == ticket) {
             sent.answer = Some(answer);
@@ -137,17 +186,84 @@ impl Jobs {
         self.sent.iter().rev()
     }
 
-    /// Returns the largest skew that a synchronized job was promised, µs: what it asked for, if
-    /// this window sent it.
-    pub(super) fn promised_skew_us(&self, job: &JobId) -> f64 {
-        let sent = self.sent().find(|sent| sent.is(job));
-        let asked = sent.and_then(|sent| sent.max_skew_us);
-        asked.unwrap_or(SKEW_PROMISED_US)
+    /// Returns what this window asked of a job's end.
+    pub fn cancel(&self, job: &JobId) -> Option<&Cancel> {
+        self.cancels.iter().find(|cancel| cancel.job == *job)
+    }
+
+    /// Returns when a synchronized job starts, while that is fixed and not over.
+    pub fn starts(&self, job: &JobId) -> Option<Moment> {
+        self.starts.get(job).copied()
+    }
+
+    /// Returns whether a start is still to come.
+    pub fn is_counting_down(&self, now: Moment) -> bool {
+        self.starts.values().any(|starts| *starts > now)
+    }
+
+    /// Returns the largest skew that a synchronized job was promised, µs: what the gateway says,
+    /// else what this window asked for. `None` if neither is known: then nobody can say whether it
+    /// was kept.
+    pub(super) fn promised_skew_us(&self, record: &JobRecord) -> Option<f64> {
+        let told = record.start.as_ref().and_then(|start| start.max_skew_us);
+        let sent = || self.sent().find(|sent| sent.is(&record.job));
+        let asked = || Some(sent()?.max_skew_us.unwrap_or(SKEW_PROMISED_US));
+        told.or_else(asked)
     }
 
     /// Returns what this window sent as this job, if its text was kept.
     pub fn sent_as(&self, job: &JobId) -> Option<&Sent> {
         self.sent()
             .find(|sent| sent.is(job) && !sent.payload.is_empty())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        message::{Answer, Message},
+        model::{Model, tests::*},
+        request::Ticket,
+    };
+    use keys::{FleetMicros, JobId, record::JobState};
+
+    #[test]
+    fn a_start_is_counted_down_by_this_computers_own_clock() {
+        let mut model = Model::default();
+        let id = JobId::new("cut").expect("a name");
+        // The gateway's clock is an hour ahead.
+        let written_us = at(3_600_000).0;
+        let mut record = job("cut", written_us, 1, JobState::Sent);
+        record.starts_at = Some(FleetMicros(written_us + 250_000));
+        model.apply(at(1_000), Message::Job(Box::new(record.clone())));
+        assert_eq!(model.jobs().starts(&id), Some(at(1_250)));
+        assert!(model.jobs().is_counting_down(at(1_249)));
+        assert!(!model.jobs().is_counting_down(at(1_250)));
+        // Told again with progress, a little late on the way: the start itself does not move.
+        (record.version, record.updated) = (2, FleetMicros(written_us + 100_000));
+        model.apply(at(1_120), Message::Job(Box::new(record.clone())));
+        assert_eq!(model.jobs().starts(&id), Some(at(1_250)));
+        (record.version, record.starts_at) = (3, None);
+        model.apply(at(1_300), Message::Job(Box::new(record)));
+        assert_eq!(model.jobs().starts(&id), None);
+    }
+
+    #[test]
+    fn what_became_of_a_cancel_is_known_until_it_is_asked_again() {
+        let mut model = Model::default();
+        let id = JobId::new("cut").expect("a name");
+        let ask = |model: &mut Model, ms, number| {
+            let ticket = Ticket(number);
+            model.apply(at(ms), Message::CancelAsked { ticket, job: id });
+        };
+        ask(&mut model, 0, 1);
+        let told = |model: &Model| model.jobs().cancel(&id).expect("asked").answer.clone();
+        assert_eq!(told(&model), None);
+        let (ticket, answer) = (Ticket(1), Answer::Failed("nobody".to_owned()));
+        let failed = Message::Answer { ticket, answer };
+        model.apply(at(5), failed);
+        assert_eq!(told(&model), Some(Answer::Failed("nobody".to_owned())));
+        ask(&mut model, 9, 2);
+        assert_eq!(told(&model), None);
     }
 }

@@ -34,6 +34,9 @@ pub const SENT_MAX: usize = 200;
 /// Longest kept text of a sent job, bytes. A longer one cannot be sent again from the history.
 pub const SENT_BYTES_MAX: usize = 1 << 20;
 
+/// Cancels that are remembered.
+pub const CANCELS_MAX: usize = 200;
+
 /// Stops and releases that are remembered.
 pub const EFFORTS_MAX: usize = 20;
 
@@ -50,7 +53,8 @@ pub const CLOCK_GRACE_S: f64 = 5.0;
 /// How old a synchronized start may be for its skew to be worth an alarm, s.
 pub const SKEW_NEWS_S: f64 = 600.0;
 
-/// The skew that a synchronized job is promised when it says nothing, µs.
+/// The skew that a synchronized job of this window is promised when neither it nor the gateway
+/// says anything, µs.
 pub const SKEW_PROMISED_US: f64 = 1_000.0;
 
 /// A node that is there says something at least every second; three silent ones are worth a look, s.

@@ -24,10 +24,14 @@ impl Pattern {
                 chunk.replace('*', "$*")
             ));
         }
-        match OwnedKeyExpr::autocanonize(chunk.to_owned()) {
-            Ok(expression) => Ok(Self(expression)),
-            Err(_) => Err("not a key expression: a-z, 0-9, _, -, * and $* only".to_owned()),
+        let words = "not a key expression: a-z, 0-9, _, -, * and $* only";
+        // Zenoh allows more in a chunk; no node is called so.
+        let known = |c: char| matches!(c, 'a'..='z' | '0'..='9' | '_' | '-' | '*' | '$');
+        if !chunk.chars().all(known) {
+            return Err(words.to_owned());
         }
+        let expression = OwnedKeyExpr::autocanonize(chunk.to_owned());
+        expression.map(Self).map_err(|_| words.to_owned())
     }
 
     /// Returns the chunk in canonical form.
@@ -73,5 +77,7 @@ mod tests {
         assert!(refused("a/b").contains('/'));
         assert!(refused("**").contains("chunk"));
         assert!(refused("a#b").contains("key expression"));
+        assert!(refused("2 selected nodes").contains("key expression"));
+        assert!(refused("Left").contains("a-z"));
     }
 }

@@ -80,6 +80,7 @@ pub(super) fn job(name: &str, created_us: u64, version: u64, state: JobState) ->
         error: None,
         result: None,
         parts: None,
+        starts_at: None,
         start: None,
     }
 }
@@ -182,12 +183,44 @@ fn a_stop_expects_the_nodes_that_were_there_and_takes_only_their_own_word() {
         (0, 2),
         "old or hearsay"
     );
-    says(&mut model, 15, "b", NodeState::Fault);
-    says(&mut model, 30, "a", NodeState::Stopped);
-    says(&mut model, 900, "a", NodeState::Stopped);
+    rests(&mut model, 15, "b", NodeState::Fault);
+    rests(&mut model, 30, "a", NodeState::Stopped);
+    rests(&mut model, 900, "a", NodeState::Stopped);
     let effort = model.efforts().next().expect("begun");
     assert!(effort.is_complete());
     assert_eq!(effort.took_s(), Some(0.020));
+}
+
+/// The same of a node whose axes all stand still.
+fn rests(model: &mut Model, ms: u64, name: &str, state: NodeState) {
+    let (node, mut status) = (id(name), status(state));
+    for axis in &mut status.axes {
+        axis.speed_mhz = 0;
+    }
+    model.apply(at(ms), Message::Status { node, status });
+}
+
+#[test]
+fn a_slow_stop_is_confirmed_when_the_node_is_at_rest_and_not_when_its_latch_is_set() {
+    let mut model = Model::default();
+    alive(&mut model, 0, "a", true);
+    let asked = Message::StopAsked {
+        ticket: Ticket(1),
+        scope: Scope::All,
+        mode: StopMode::Decelerate,
+    };
+    model.apply(at(10), asked);
+    says(&mut model, 20, "a", NodeState::Stopped);
+    let effort = |model: &Model| {
+        let effort = model.efforts().next().expect("begun").clone();
+        let coming: Vec<_> = effort.coming_to_rest().collect();
+        (effort.confirmed(), coming, effort.missing().count())
+    };
+    assert_eq!(effort(&model), (0, vec![id("a")], 0), "it decelerates");
+    rests(&mut model, 420, "a", NodeState::Stopped);
+    assert_eq!(effort(&model), (1, Vec::new(), 0));
+    let effort = model.efforts().next().expect("begun");
+    assert_eq!((effort.is_complete(), effort.took_s()), (true, Some(0.41)));
 }
 
 #[test]

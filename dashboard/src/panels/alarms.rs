@@ -9,7 +9,7 @@ use crate::{
     theme::{self, Badge, Tone},
     view::View,
 };
-use egui::{RichText, Ui, UserAttentionType, ViewportCommand};
+use egui::{Context, RichText, Ui, UserAttentionType, ViewportCommand};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -33,18 +33,18 @@ pub struct AlarmsView {
 
 /// Marks the window in the task bar and plays a sound when there is a new alarm, each if the
 /// operator wants that.
-pub fn call(ui: &Ui, model: &Model, view: &mut View, sound: &mut Sound) {
+pub fn call(ctx: &Context, model: &Model, view: &mut View, sound: &mut Sound) {
     let latest = model.alarms().latest();
     let is_new = std::mem::replace(&mut view.alarms.called_for, latest) < latest;
     if is_new && view.alarms.attention {
         let attention = ViewportCommand::RequestUserAttention(UserAttentionType::Critical);
-        ui.ctx().send_viewport_cmd(attention);
+        ctx.send_viewport_cmd(attention);
     }
     if is_new && view.alarms.sound {
         sound.play();
     }
     if sound.poll() {
-        ui.ctx().request_repaint_after(SOUND_POLL_EVERY);
+        ctx.request_repaint_after(SOUND_POLL_EVERY);
     }
 }
 

@@ -1,10 +1,15 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
-use super::{chooser::Purpose, editor, preview};
+use super::{
+    chooser::Purpose,
+    editor, preview,
+    reach::{Reach, reach_ui},
+};
 use crate::{
     estimate::{Estimate, estimate},
     files::is_capture,
+    lua::{self, Verdict},
     message::{Answer, FileOutcome},
     model::{Model, jobs::Sent, select::Pattern},
     request::{Language, Request, Requests, Target, Ticket},
@@ -19,10 +24,7 @@ use keys::{
     record::JobError,
 };
 use serde::{Deserialize, Serialize, Serializer};
-use std::{collections::BTreeSet, ops::Range};
-
-/// Names of matching nodes that are spelled out.
-const NAMES_SHOWN: usize = 8;
+use std::{collections::BTreeSet, ops::Range, sync::Arc};
 
 /// Least height of the text, rows.
 const EDITOR_ROWS: usize = 8;
@@ -58,7 +60,11 @@ pub struct ComposerView {
     #[serde(skip)]
     dropped: Option<String>,
     #[serde(skip)]
-    checked: Option<Checked>,
+    dropped_on_row: bool,
+    #[serde(skip)]
+    drop_note: Option<String>,
+    #[serde(skip)]
+    checked: Option<Arc<Checked>>,
 }
 
 /// The text that was checked last, and what came out.
@@ -70,6 +76,8 @@ struct Checked {
     outcome: Result<JobRequest, JobError>,
     place: Option<Range<usize>>,
     estimate: Option<Estimate>,
+    /// Of a script.
+    lua: Option<Verdict>,
 }
 
 fn if_short<S: Serializer>(text: &str, serializer: S) -> Result<S::Ok, S::Error> {
@@ -90,6 +98,8 @@ impl Default for ComposerView {
             sent: None,
             opening: None,
             dropped: None,
+            dropped_on_row: false,
+            drop_note: None,
             checked: None,
         }
     }
@@ -104,13 +114,14 @@ impl ComposerView {
         }
     }
 
-    /// Takes a job that was sent, without its id: the same id would be the same job.
-    pub fn again(&mut self, sent: &Sent) {
+    /// Takes a job that was sent, without its id: the same id would be the same job. It is for the
+    /// node that had it, if that is known, also where it was one of several.
+    pub fn again(&mut self, sent: &Sent, node: Option<NodeId>) {
         self.to_selection = false;
-        self.target = if Pattern::new(&sent.target).is_ok() {
-            sent.target.clone()
-        } else {
-            String::new()
+        self.target = match node {
+            Some(node) => node.to_string(),
+            None if Pattern::new(&sent.target).is_ok() => sent.target.clone(),
+            None => String::new(),
         };
         self.language = sent.language;
         match sent.language {
@@ -126,6 +137,7 @@ impl ComposerView {
         if self.dropped.is_some() && pointer.is_some_and(|at| row.contains(at)) {
             self.target = node.as_str().to_owned();
             self.to_selection = false;
+            self.dropped_on_row = true;
         }
     }
 
@@ -142,39 +154,49 @@ impl ComposerView {
         }
     }
 
-    /// Checks the text with the rules that the gateway has, if it is another one than last time.
-    fn check(&mut self, start_steps: &[i64]) -> Option<&Checked> {
+    /// Checks the text with the rules that the gateway has, if it is another one than last time. A
+    /// long one is compared each time, and neither copied nor read again.
+    fn check(&mut self, start_steps: &[i64]) -> Arc<Checked> {
         let language = self.language;
-        let text = std::mem::take(self.text_mut());
-        let known = self.checked.as_ref();
-        let fresh = known.is_some_and(|known| {
-            known.language == language && known.text == text && known.start_steps == start_steps
-        });
-        if !fresh {
-            let outcome = match language {
-                Language::Json => JobRequest::from_json(text.as_bytes()),
-                Language::Lua => Ok(JobRequest {
-                    id: None,
-                    work: Work::Lua(text.clone()),
-                    offline: keys::job::Offline::default(),
-                    timeout_s: None,
-                    signature: None,
-                }),
-            };
-            let error = outcome.as_ref().err();
-            let place = error.and_then(|error| syntax::error_place(&text, &error.message));
-            let work = outcome.as_ref().ok().map(|job| &job.work);
-            self.checked = Some(Checked {
-                language,
-                start_steps: start_steps.to_vec(),
-                place,
-                estimate: work.and_then(|work| estimate(work, start_steps)),
-                text: text.clone(),
-                outcome,
-            });
+        let text = match language {
+            Language::Json => &self.text,
+            Language::Lua => &self.script,
+        };
+        if let Some(known) = &self.checked
+            && known.language == language
+            && known.text == *text
+            && known.start_steps == start_steps
+        {
+            return Arc::clone(known);
         }
-        *self.text_mut() = text;
-        self.checked.as_ref()
+        let outcome = match language {
+            Language::Json => JobRequest::from_json(text.as_bytes()),
+            Language::Lua => Ok(JobRequest {
+                id: None,
+                work: Work::Lua(text.clone()),
+                offline: keys::job::Offline::default(),
+                timeout_s: None,
+                signature: None,
+            }),
+        };
+        let error = outcome.as_ref().err();
+        let lua = (language == Language::Lua).then(|| lua::check(text));
+        let place = match &lua {
+            Some(Verdict::Wrong(wrong)) => Some(wrong.place.clone()),
+            _ => error.and_then(|error| syntax::error_place(text, &error.message)),
+        };
+        let work = outcome.as_ref().ok().map(|job| &job.work);
+        let checked = Arc::new(Checked {
+            language,
+            start_steps: start_steps.to_vec(),
+            place,
+            estimate: work.and_then(|work| estimate(work, start_steps)),
+            text: text.clone(),
+            outcome,
+            lua,
+        });
+        self.checked = Some(Arc::clone(&checked));
+        checked
     }
 }
 
@@ -187,11 +209,26 @@ pub fn take_dropped(ui: &Ui, view: &mut View) {
 }
 
 /// Opens the file that was dropped, for the node on whose row it fell, if on one.
-pub fn open_dropped(view: &mut View, requests: &mut Requests) {
-    if let Some(path) = view.composer.dropped.take() {
-        view.tab = Tab::Compose;
-        view.composer.open_file(path, requests);
-    }
+pub fn open_dropped(ui: &Ui, view: &mut View, requests: &mut Requests) {
+    let on_row = std::mem::take(&mut view.composer.dropped_on_row);
+    let Some(path) = view.composer.dropped.take() else {
+        return;
+    };
+    // During a drag from elsewhere not every system tells where the pointer is.
+    let nowhere = ui.input(|input| input.pointer.latest_pos()).is_none();
+    view.composer.drop_note = (!on_row && nowhere).then(|| {
+        let focus = view.focus.filter(|_| view.selection.is_empty());
+        let nodes = focus.map_or_else(|| view.selection.clone(), |node| BTreeSet::from([node]));
+        view.composer.target_nodes(&nodes);
+        let whom = match (nodes.first(), nodes.len()) {
+            (None, _) => "no node is selected: say for whom it is".to_owned(),
+            (Some(node), 1) => format!("it is for {node}, which is selected"),
+            (_, count) => format!("it is for the {count} selected nodes"),
+        };
+        format!("⚠ the system did not tell where the file fell; {whom}")
+    });
+    view.tab = Tab::Compose;
+    view.composer.open_file(path, requests);
 }
 
 /// Takes a file that was read.
@@ -227,20 +264,30 @@ fn without_id(payload: &str) -> String {
     serde_json::to_string_pretty(&job).unwrap_or_else(|_| payload.to_owned())
 }
 
+/// Sends what is written to whom it is for: what the button does.
+///
+/// # Errors
+/// Why it cannot be sent, for a person.
+pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<Ticket, String> {
+    let reach = Reach::of(model, view);
+    let checked = view.composer.check(&reach.start_steps(model));
+    if let Some(why) = refusal(model, &reach, &checked) {
+        return Err(why);
+    }
+    let ticket = requests.push(Request::Submit {
+        target: reach.target?,
+        language: checked.language,
+        text: checked.text.clone(),
+    });
+    view.composer.sent = Some(ticket);
+    Ok(ticket)
+}
+
 /// Shows the composer.
 pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
     let failed = take_opened(model, &mut view.composer);
-    let pattern = Pattern::new(view.composer.target.trim());
-    let reach: Vec<NodeId> = if view.composer.to_selection {
-        view.selection.iter().copied().collect()
-    } else {
-        let nodes = pattern.as_ref().map(|pattern| model.matching(pattern));
-        nodes.map_or(Vec::new(), |nodes| nodes.map(|node| node.id()).collect())
-    };
-    let start_steps = start_of(model, &reach);
-    let Some(checked) = view.composer.check(&start_steps).cloned() else {
-        return;
-    };
+    let reach = Reach::of(model, view);
+    let checked = view.composer.check(&reach.start_steps(model));
     ui.horizontal_wrapped(|ui| {
         let composer = &mut view.composer;
         ui.selectable_value(&mut composer.language, Language::Json, "JSON");
@@ -253,13 +300,14 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .labelled_by(label.id);
         let words = format!("Selection ({})", view.selection.len());
         ui.checkbox(&mut composer.to_selection, words);
-        send_ui(ui, model, view, requests, &pattern, &reach, &checked);
-        if view.composer.to_selection {
-            let words = format!("● reaches {}", names(&reach));
-            ui.label(theme::toned(ui, Tone::Good, words));
-        } else {
-            reach_ui(ui, model, &pattern, &reach);
+        let why = refusal(model, &reach, &checked);
+        let button = ui.add_enabled(why.is_none(), egui::Button::new("Send job"));
+        let button = button.on_disabled_hover_text(why.unwrap_or_default());
+        if button.clicked() {
+            // It can be sent, or the button would not be there to be clicked.
+            let _ = send(model, view, requests);
         }
+        reach_ui(ui, model, &reach);
         check_ui(ui, &checked);
     });
     file_ui(ui, view, requests, failed);
@@ -270,70 +318,25 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .default_size(330.0)
             .show(ui, |ui| preview::preview_ui(ui, estimate));
     }
-    text_ui(ui, &mut view.composer, checked.place);
-}
-
-/// Where a preview begins: at the only node's place, if it rests; else at 0.
-fn start_of(model: &Model, reach: &[NodeId]) -> Vec<i64> {
-    let [node] = reach else { return Vec::new() };
-    let node = model.node(node);
-    let resting = node.filter(|node| node.speeds_hz().iter().all(|speed| *speed == 0.0));
-    resting.map_or(Vec::new(), |node| node.positions_steps())
-}
-
-fn send_ui(
-    ui: &mut Ui,
-    model: &Model,
-    view: &mut View,
-    requests: &mut Requests,
-    pattern: &Result<Pattern, String>,
-    reach: &[NodeId],
-    checked: &Checked,
-) {
-    let composer = &mut view.composer;
-    let target = if composer.to_selection {
-        let none = || "no node is selected: Ctrl+click selects several".to_owned();
-        let nodes = (!reach.is_empty()).then(|| reach.iter().copied().collect());
-        nodes.map(Target::Nodes).ok_or_else(none)
-    } else {
-        let pattern = pattern.as_ref().map_err(Clone::clone);
-        pattern.map(|pattern| Target::Node(pattern.as_str().to_owned()))
-    };
-    let why = refusal(model, &target, reach.len(), checked);
-    let send = ui.add_enabled(why.is_none(), egui::Button::new("Send job"));
-    let send = send.on_disabled_hover_text(why.unwrap_or_default());
-    if send.clicked()
-        && let Ok(target) = target
-    {
-        composer.sent = Some(requests.push(Request::Submit {
-            target,
-            language: checked.language,
-            text: checked.text.clone(),
-        }));
-    }
+    text_ui(ui, &mut view.composer, checked.place.clone());
 }
 
 /// Returns why the job cannot be sent.
-fn refusal(
-    model: &Model,
-    target: &Result<Target, String>,
-    reached: usize,
-    checked: &Checked,
-) -> Option<String> {
+fn refusal(model: &Model, reach: &Reach, checked: &Checked) -> Option<String> {
     if let Some(why) = no_way(model) {
         return Some(why);
     }
-    let job = match (target, &checked.outcome) {
+    let job = match (&reach.target, &checked.outcome) {
         (Err(why), _) => return Some(why.clone()),
         (_, Err(error)) => return Some(error.to_string()),
         (Ok(_), Ok(job)) => job,
     };
-    let selected = matches!(target, Ok(Target::Nodes(_)));
-    let wild = matches!(target, Ok(Target::Node(chunk)) if chunk.contains('*'));
-    if wild && reached == 0 {
+    let selected = matches!(reach.target, Ok(Target::Nodes(_)));
+    let wild = matches!(&reach.target, Ok(Target::Node(chunk)) if chunk.contains('*'));
+    if wild && reach.there.is_empty() {
         return Some("no node that is there matches".to_owned());
     }
-    if selected && reached > 1 && job.id.is_some() {
+    if selected && reach.count() > 1 && job.id.is_some() {
         return Some("one id is one job: leave `id` out for several nodes".to_owned());
     }
     match &job.work {
@@ -353,16 +356,6 @@ pub(super) fn no_way(model: &Model) -> Option<String> {
     }
 }
 
-fn names(nodes: &[NodeId]) -> String {
-    let shown: Vec<&str> = nodes.iter().take(NAMES_SHOWN).map(NodeId::as_str).collect();
-    let more = match nodes.len().saturating_sub(NAMES_SHOWN) {
-        0 => String::new(),
-        more => format!(" and {more} more"),
-    };
-    let count = text::count(nodes.len(), "node");
-    format!("{count}: {}{more}", shown.join(", "))
-}
-
 fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option<String>) {
     ui.horizontal_wrapped(|ui| {
         let composer = &mut view.composer;
@@ -377,6 +370,7 @@ fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option
             .clicked()
         {
             let path = composer.file.trim().to_owned();
+            composer.drop_note = None;
             composer.open_file(path, requests);
         }
         if ui.button("Choose job…").clicked() {
@@ -386,6 +380,9 @@ fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option
             ui.label(theme::toned(ui, Tone::Bad, format!("✖ {why}")));
         } else if composer.opening.is_some() {
             ui.label("⌛ opening");
+        }
+        if let Some(note) = &composer.drop_note {
+            ui.label(theme::toned(ui, Tone::Warn, note));
         }
     });
 }
@@ -410,29 +407,24 @@ fn text_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>
     });
 }
 
-fn reach_ui(ui: &mut Ui, model: &Model, pattern: &Result<Pattern, String>, reach: &[NodeId]) {
-    let (tone, words) = match (pattern, reach) {
-        (Err(why), _) => (Tone::Quiet, why.clone()),
-        (Ok(pattern), []) if !pattern.is_wild() => {
-            let known = NodeId::new(pattern.as_str()).is_ok_and(|id| model.node(&id).is_some());
-            if known {
-                (
-                    Tone::Warn,
-                    "⚠ offline: the job waits until it returns".to_owned(),
-                )
-            } else {
-                (Tone::Warn, "⚠ never heard of this node".to_owned())
-            }
+/// A script is never held back: what runs it is the node's own engine.
+fn lua_words(lua: Option<&Verdict>) -> (Tone, String) {
+    match lua {
+        Some(Verdict::Good) => {
+            let words = "✔ Lua; what its functions do the node finds out";
+            (Tone::Good, words.to_owned())
         }
-        (Ok(_), []) => (Tone::Warn, "⚠ reaches no node".to_owned()),
-        (Ok(_), nodes) => (Tone::Good, format!("● reaches {}", names(nodes))),
-    };
-    ui.label(theme::toned(ui, tone, words));
+        Some(Verdict::Wrong(wrong)) => (Tone::Warn, format!("⚠ no Lua? {}", wrong.words)),
+        Some(Verdict::Unknown) | None => {
+            let words = "a long script: the node checks it";
+            (Tone::Plain, words.to_owned())
+        }
+    }
 }
 
 fn check_ui(ui: &mut Ui, checked: &Checked) {
     let (tone, words) = match checked.outcome.as_ref().map(|job| &job.work) {
-        Ok(Work::Lua(_)) => (Tone::Plain, "a script: the gateway checks it".to_owned()),
+        Ok(Work::Lua(_)) => lua_words(checked.lua.as_ref()),
         Ok(Work::Commands(list)) => {
             let count = text::count(list.len(), "command");
             (Tone::Good, format!("✔ {count}"))

@@ -10,7 +10,7 @@ use crate::{
     theme::{self, Tone},
     view::View,
 };
-use egui::{Margin, RichText, TextEdit, Ui};
+use egui::{Margin, RichText, Role, TextEdit, Ui};
 use egui_table::{CellInfo, HeaderCellInfo, HeaderRow, Table, TableDelegate};
 use keys::NodeId;
 use serde::{Deserialize, Serialize};
@@ -63,8 +63,8 @@ impl Column {
             Self::State => "State",
             Self::Job => "Job",
             Self::Queue => "Queue",
-            Self::Position => "Position",
-            Self::Speed => "Speed /s",
+            Self::Position => "Position (steps)",
+            Self::Speed => "Speed (steps/s)",
             Self::Clock => "Clock",
             Self::Rssi => "RSSI",
             Self::Fault => "Last fault",
@@ -89,12 +89,11 @@ impl Column {
 
     const fn width(self) -> f32 {
         match self {
-            Self::Node => 120.0,
+            Self::Node => 140.0,
             Self::State => 90.0,
             Self::Job | Self::Fault => 175.0,
-            Self::Queue => 85.0,
-            Self::Position | Self::Clock => 150.0,
-            Self::Speed => 130.0,
+            Self::Queue => 80.0,
+            Self::Position | Self::Clock | Self::Speed => 150.0,
             Self::Rssi => 65.0,
             Self::Heard => 60.0,
         }
@@ -308,10 +307,16 @@ impl TableDelegate for Rows<'_> {
             (true, true) => " ⏷",
         };
         let title = RichText::new(format!("{}{mark}", column.title())).strong();
-        let button = ui.add(egui::Button::new(title).frame(false).truncate());
+        let button = egui::Frame::new()
+            .inner_margin(Margin::symmetric(4, 2))
+            .show(ui, |ui| {
+                super::table::keep_in_sight(ui);
+                ui.add(egui::Button::new(title).frame(false).truncate())
+            })
+            .inner;
         theme::named(
             &button,
-            egui::Role::Button,
+            Role::Button,
             &format!("Sort by {}", column.title()),
         );
         if button.on_hover_text(column.hint()).clicked() {
@@ -347,6 +352,7 @@ impl TableDelegate for Rows<'_> {
         egui::Frame::new()
             .inner_margin(Margin::symmetric(4, 2))
             .show(ui, |ui| {
+                super::table::keep_in_sight(ui);
                 ui.set_min_size(ui.available_size());
                 match column {
                     Column::Node => self.name_ui(ui, node),
@@ -363,16 +369,29 @@ impl TableDelegate for Rows<'_> {
 impl Rows<'_> {
     fn name_ui(&mut self, ui: &mut Ui, node: &Node) {
         let id = node.id();
-        let chosen = self.view.focus == Some(id) || self.view.selection.contains(&id);
-        let label = ui.selectable_label(chosen, id.as_str());
-        if label.clicked() {
-            if ui.input(|input| input.modifiers.command) {
+        let selected = self.view.selection.contains(&id);
+        ui.horizontal(|ui| {
+            ui.spacing_mut().item_spacing.x = 3.0;
+            let mut ticked = selected;
+            let tick = ui.add(egui::Checkbox::without_text(&mut ticked));
+            tick.widget_info(|| {
+                let name = format!("Select {id}");
+                egui::WidgetInfo::selected(Role::CheckBox, true, ticked, name)
+            });
+            if tick.changed() {
                 toggle(&mut self.view.selection, id);
-            } else {
-                self.view.focus = (self.view.focus != Some(id)).then_some(id);
-                self.view.selection = std::iter::once(id).collect();
             }
-        }
+            let chosen = self.view.focus == Some(id) || selected;
+            let label = egui::Button::selectable(chosen, id.as_str());
+            if ui.add(label.truncate()).clicked() {
+                if ui.input(|input| input.modifiers.command) {
+                    toggle(&mut self.view.selection, id);
+                } else {
+                    self.view.focus = (self.view.focus != Some(id)).then_some(id);
+                    self.view.selection = std::iter::once(id).collect();
+                }
+            }
+        });
     }
 }
 
@@ -404,7 +423,8 @@ fn cell_text_ui(ui: &mut Ui, model: &Model, node: &Node, column: Column) {
     // What a node that is gone said last is old; without a link, everything is.
     let gone = !node.is_there() && !matches!(column, Column::State | Column::Heard);
     let text = if gone || !model.link().is_up() {
-        text.color(Tone::Quiet.color(ui))
+        // Slanted too: a colour alone is easily overlooked.
+        text.color(Tone::Quiet.color(ui)).italics()
     } else {
         text
     };

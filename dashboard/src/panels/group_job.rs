@@ -3,9 +3,9 @@
 
 use super::{composer, editor::editor_ui, preview};
 use crate::{
-    estimate::estimate,
+    estimate::{Estimate, estimate},
     message::Answer,
-    model::{Model, jobs::Sent},
+    model::{Model, jobs::Sent, node::Node},
     request::{Language, Request, Requests, Target, Ticket},
     syntax, text,
     theme::{self, Tone},
@@ -14,12 +14,15 @@ use crate::{
 use egui::{Panel, ScrollArea, TextEdit, Ui};
 use keys::{
     GroupId, JobId, NodeId,
-    job::{GROUP_NODES_MAX, GroupRequest, Work},
+    job::{GROUP_NODES_MAX, GroupRequest},
     record::{JobRecord, JobState},
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 /// Least height of a part's text, rows.
 const EDITOR_ROWS: usize = 6;
@@ -44,6 +47,27 @@ pub struct GroupJobView {
     /// The last one that was sent.
     #[serde(skip)]
     pub sent: Option<Ticket>,
+    #[serde(skip)]
+    checked: Option<Arc<Checked>>,
+    #[serde(skip)]
+    estimated: Option<Estimated>,
+}
+
+/// The parts that were checked last, and what came out.
+#[derive(Debug)]
+struct Checked {
+    parts: BTreeMap<NodeId, String>,
+    numbers: [f64; 2],
+    whole: Result<(String, GroupRequest), String>,
+}
+
+/// The estimate of one part.
+#[derive(Clone, Debug)]
+struct Estimated {
+    of: Arc<Checked>,
+    node: NodeId,
+    start_steps: Vec<i64>,
+    estimate: Option<Arc<Estimate>>,
 }
 
 impl Default for GroupJobView {
@@ -55,6 +79,8 @@ impl Default for GroupJobView {
             max_skew_us: 1_000.0,
             ready_timeout_ms: 5_000.0,
             sent: None,
+            checked: None,
+            estimated: None,
         }
     }
 }
@@ -120,10 +146,58 @@ impl GroupJobView {
     }
 }
 
+impl GroupJobView {
+    /// Does [`Self::whole`] anew only if something was changed: parts may be long.
+    fn check(&mut self) -> Arc<Checked> {
+        let numbers = [self.max_skew_us, self.ready_timeout_ms];
+        if let Some(known) = &self.checked
+            && known.numbers == numbers
+            && known.parts == self.parts
+        {
+            return Arc::clone(known);
+        }
+        let checked = Arc::new(Checked {
+            parts: self.parts.clone(),
+            numbers,
+            whole: self.whole(),
+        });
+        self.checked = Some(Arc::clone(&checked));
+        checked
+    }
+
+    /// Returns what the open part would do from here, anew only if it is another one.
+    fn estimate(
+        &mut self,
+        checked: &Arc<Checked>,
+        node: NodeId,
+        start_steps: Vec<i64>,
+    ) -> Option<Arc<Estimate>> {
+        if let Some(known) = &self.estimated
+            && Arc::ptr_eq(&known.of, checked)
+            && known.node == node
+            && known.start_steps == start_steps
+        {
+            return known.estimate.clone();
+        }
+        let job = checked.whole.as_ref().ok();
+        let work = job.and_then(|(_, job)| job.nodes.get(&node));
+        let estimate = work.and_then(|work| estimate(work, &start_steps));
+        let estimate = estimate.map(Arc::new);
+        self.estimated = Some(Estimated {
+            of: Arc::clone(checked),
+            node,
+            start_steps,
+            estimate: estimate.clone(),
+        });
+        estimate
+    }
+}
+
 /// Shows the editor and what became of the job that was sent last.
 pub fn group_job_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
-    let whole = view.group_job.whole();
-    head_ui(ui, model, view, requests, &whole);
+    let checked = view.group_job.check();
+    let whole = &checked.whole;
+    head_ui(ui, model, view, requests, whole);
     Panel::left("group parts")
         .resizable(true)
         .default_size(330.0)
@@ -133,22 +207,17 @@ pub fn group_job_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut 
         ui.label(theme::toned(ui, Tone::Quiet, words));
         return;
     };
-    let work = whole
-        .as_ref()
-        .ok()
-        .and_then(|(_, job)| job.nodes.get(&open));
-    if let Some(estimate) = work.and_then(|work| estimate_at(model, open, work)) {
+    let place = model.node(&open).map(Node::positions_steps);
+    let estimate = view
+        .group_job
+        .estimate(&checked, open, place.unwrap_or_default());
+    if let Some(estimate) = estimate {
         Panel::right("part preview")
             .resizable(true)
             .default_size(240.0)
             .show(ui, |ui| preview::preview_ui(ui, &estimate));
     }
     part_ui(ui, view, open, whole.as_ref().err());
-}
-
-fn estimate_at(model: &Model, node: NodeId, work: &Work) -> Option<crate::estimate::Estimate> {
-    let place = model.node(&node).map(|node| node.positions_steps());
-    estimate(work, &place.unwrap_or_default())
 }
 
 fn head_ui(
@@ -178,23 +247,12 @@ fn head_ui(
         {
             editor.add(&view.selection);
         }
-        let group = GroupId::new(editor.group.trim());
-        let why = match (composer::no_way(model), &group, whole) {
-            (Some(why), _, _) => Some(why),
-            (_, Err(_), _) => Some("a group's name is a-z, 0-9, _ and -".to_owned()),
-            (_, _, Err(why)) => Some(why.clone()),
-            _ => not_there(model, &editor.parts),
-        };
+        let why = refusal(model, editor, whole);
         let send = ui.add_enabled(why.is_none(), egui::Button::new("Start together"));
         let send = send.on_disabled_hover_text(why.clone().unwrap_or_default());
-        if send.clicked()
-            && let (Ok(group), Ok((text, _))) = (group, whole)
-        {
-            editor.sent = Some(requests.push(Request::Submit {
-                target: Target::Group(group),
-                language: Language::Json,
-                text: text.clone(),
-            }));
+        if send.clicked() {
+            // It can be sent, or the button would not be there to be clicked.
+            let _ = self::send(model, view, requests);
         }
         match why {
             Some(why) => ui.label(theme::toned(ui, Tone::Warn, format!("⚠ {why}"))),
@@ -202,6 +260,45 @@ fn head_ui(
         };
     });
     sent_ui(ui, model, view);
+}
+
+/// Sends what is written: what the button does.
+///
+/// # Errors
+/// Why it cannot be sent, for a person.
+pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<Ticket, String> {
+    let editor = &mut view.group_job;
+    let checked = editor.check();
+    if let Some(why) = refusal(model, editor, &checked.whole) {
+        return Err(why);
+    }
+    let group = GroupId::new(editor.group.trim()).map_err(|error| error.to_string())?;
+    let (text, _) = checked.whole.as_ref().map_err(Clone::clone)?;
+    let ticket = requests.push(Request::Submit {
+        target: Target::Group(group),
+        language: Language::Json,
+        text: text.clone(),
+    });
+    editor.sent = Some(ticket);
+    Ok(ticket)
+}
+
+/// Returns why the job cannot be sent.
+fn refusal(
+    model: &Model,
+    editor: &GroupJobView,
+    whole: &Result<(String, GroupRequest), String>,
+) -> Option<String> {
+    match (
+        composer::no_way(model),
+        GroupId::new(editor.group.trim()),
+        whole,
+    ) {
+        (Some(why), _, _) => Some(why),
+        (_, Err(_), _) => Some("a group's name is a-z, 0-9, _ and -".to_owned()),
+        (_, _, Err(why)) => Some(why.clone()),
+        _ => not_there(model, &editor.parts),
+    }
 }
 
 /// A synchronized job is refused if one node is not there.
@@ -245,7 +342,8 @@ fn parts_ui(ui: &mut Ui, model: &Model, view: &mut View) {
 fn light_ui(ui: &mut Ui, model: &Model, record: Option<&JobRecord>, id: &NodeId) {
     let part = record.and_then(|record| record.parts.as_ref()?.get(id));
     let node = model.node(id);
-    let ready = node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
+    let ready = record.is_some_and(|record| record.starts_at.is_some())
+        || node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
     match part {
         Some(part) if part.state == JobState::Sent && ready => {
             theme::node_badge(keys::record::NodeWord::Ready).show(ui);
@@ -309,8 +407,20 @@ fn sent_ui(ui: &mut Ui, model: &Model, view: &mut View) {
     });
 }
 
-/// From the first part sent to the measured skew.
-fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
+/// Returns the words for the time until a start that is fixed; `None` when there is none, and when
+/// it is measured.
+pub(super) fn countdown(model: &Model, record: &JobRecord) -> Option<String> {
+    let starts = model.jobs().starts(&record.job)?;
+    let left_s = starts.since_s(model.now());
+    Some(if left_s > 0.0 {
+        format!("starts in {}", text::micros(left_s * 1e6))
+    } else {
+        "starts now".to_owned()
+    })
+}
+
+/// Returns where a synchronized job is, from the first part sent to the measured skew.
+pub fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
     let badge = theme::job_badge(record.state);
     let mut words = format!("{} {}: {}", badge.icon, record.job, badge.word);
     if let Some(error) = &record.error {
@@ -323,13 +433,8 @@ fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
         part.state == JobState::Running || waits
     });
     let (ready, all) = (ready.count(), parts.count());
-    match &record.start {
-        Some(start) if model.now().0 < start.planned.0 => {
-            let left_us = start.planned.0 - model.now().0;
-            words += &format!(", starts in {}", text::micros(left_us as f64));
-        }
-        Some(start) if start.by_node_us.is_empty() => words += ", started, not yet measured",
-        Some(start) => {
+    match (&record.start, countdown(model, record)) {
+        (Some(start), _) => {
             let (skew, error) = (start.skew_us, start.uncertainty_us);
             words += &format!(
                 ", started {} apart ± {}",
@@ -337,8 +442,10 @@ fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
                 text::micros(error)
             );
         }
-        None if !record.state.is_final() => words += &format!(", {ready} of {all} ready"),
-        None => {}
+        // Nothing is planned before all are.
+        (None, Some(countdown)) => words += &format!(", all ready, {countdown}"),
+        (None, None) if !record.state.is_final() => words += &format!(", {ready} of {all} ready"),
+        (None, None) => {}
     }
     (badge.tone, words)
 }

@@ -2,8 +2,8 @@
 
 use super::{chooser::Purpose, table::table_ui};
 use crate::{
-    message::FileOutcome,
-    model::{Model, select::Pattern},
+    message::{Answer, FileOutcome},
+    model::{Model, jobs::Cancel, select::Pattern},
     records,
     request::{Request, Requests, Ticket},
     text,
@@ -130,7 +130,7 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         return;
     }
     table_ui(ui, "jobs", &COLUMNS, &rows, |ui, record, column| {
-        Some(match column {
+        let text = match column {
             0 => {
                 let open = view.jobs.open == Some(record.job);
                 let label = ui.selectable_label(open, record.job.as_str());
@@ -143,7 +143,13 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             2 => theme::job_badge(record.state).text(ui),
             3 => RichText::new(progress(record)),
             4 => RichText::new(text::date_and_time(record.created)),
-            _ => RichText::new(outcome(record)),
+            _ => RichText::new(now_or_outcome(model, record)),
+        };
+        // Without a link nobody knows what became of it since.
+        let old = !model.link().is_up() && !record.state.is_final();
+        Some(match old {
+            true => text.color(Tone::Quiet.color(ui)).italics(),
+            false => text,
         })
     });
 }
@@ -229,8 +235,38 @@ fn outcome(record: &JobRecord) -> String {
             text::micros(start.skew_us),
             text::micros(start.uncertainty_us)
         ),
-        (None, None, Some(result)) => format!("at {}", text::positions(&result.position)),
+        (None, None, Some(result)) => {
+            format!("at {} steps", text::positions(&result.position))
+        }
         (None, None, None) => String::new(),
+    }
+}
+
+/// Returns what is about to become of a job that has no outcome yet, else its outcome.
+fn now_or_outcome(model: &Model, record: &JobRecord) -> String {
+    if !record.state.is_final()
+        && let Some(cancel) = model.jobs().cancel(&record.job)
+    {
+        return cancel_words(cancel).1;
+    }
+    match super::group_job::countdown(model, record) {
+        Some(words) => words,
+        None => outcome(record),
+    }
+}
+
+/// Returns what became of a cancel, as far as the gateway's answer tells.
+fn cancel_words(cancel: &Cancel) -> (Tone, String) {
+    match &cancel.answer {
+        None => (Tone::Plain, "⌛ cancel asked for".to_owned()),
+        Some(Answer::Failed(why)) => (Tone::Bad, format!("✖ NOT CANCELED: {why}")),
+        Some(Answer::Done { refused, .. }) if !refused.is_empty() => {
+            (Tone::Bad, format!("✖ NOT CANCELED: {}", refused[0]))
+        }
+        Some(_) => {
+            let words = "⏹ cancel taken: it ends when its nodes are at rest";
+            (Tone::Warn, words.to_owned())
+        }
     }
 }
 
@@ -260,14 +296,24 @@ fn detail_ui(
                 view.group_job.again(sent);
                 view.tab = Tab::GroupJob;
             } else {
-                view.composer.again(sent);
+                view.composer.again(sent, record.node);
                 view.tab = Tab::Compose;
             }
+        }
+        if ui.button("Copy id").clicked() {
+            ui.copy_text(record.job.to_string());
         }
         if ui.button("Close detail").clicked() {
             view.jobs.open = None;
         }
     });
+    if let Some(cancel) = model.jobs().cancel(&record.job) {
+        let (tone, words) = cancel_words(cancel);
+        if tone == Tone::Bad || !record.state.is_final() {
+            let words = theme::toned(ui, tone, words);
+            ui.add(egui::Label::new(words).wrap());
+        }
+    }
     ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         facts_ui(ui, record);
         parts_ui(ui, record);
@@ -303,10 +349,14 @@ fn facts_ui(ui: &mut Ui, record: &JobRecord) {
         facts.push(("error", error.to_string()));
     }
     if let Some(result) = &record.result {
-        facts.push(("final position", text::positions(&result.position)));
+        let position = text::positions(&result.position);
+        facts.push(("final position", format!("{position} steps")));
         if let Some(returned) = &result.returned {
             facts.push(("returned", returned.to_string()));
         }
+    }
+    if let Some(starts_at) = record.starts_at {
+        facts.push(("planned start", text::date_and_time(starts_at)));
     }
     if let Some(start) = &record.start {
         facts.push(("planned start", text::date_and_time(start.planned)));

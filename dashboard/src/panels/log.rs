@@ -1,12 +1,16 @@
 //! Lines of the nodes and of this window, newest at the bottom; only those in sight are drawn.
 
 use crate::{
-    model::{Model, log::Source},
+    model::{
+        Model,
+        log::{Line, Source},
+    },
     text,
     theme::{self, Tone},
     view::View,
 };
 use egui::{RichText, ScrollArea, TextEdit, TextStyle, Ui};
+use keys::FleetMicros;
 use serde::{Deserialize, Serialize};
 
 /// What the panel remembers.
@@ -40,6 +44,14 @@ pub fn log_ui(ui: &mut Ui, model: &Model, view: &mut View) {
         let found = view.find(model).len();
         let words = format!("{found} of {} lines", log.lines().len());
         ui.label(theme::toned(ui, Tone::Quiet, words));
+        if ui
+            .button("Copy log")
+            .on_hover_text("Copies the lines that pass the filter")
+            .clicked()
+        {
+            let lines = view.find(model).iter();
+            ui.copy_text(copied(lines.filter_map(|index| log.lines().get(*index))));
+        }
         if model.missed() > 0 {
             let words = format!("⚠ {} messages were dropped", model.missed());
             ui.label(theme::toned(ui, Tone::Warn, words));
@@ -67,6 +79,19 @@ pub fn log_ui(ui: &mut Ui, model: &Model, view: &mut View) {
         });
 }
 
+/// Returns lines as they are pasted elsewhere.
+pub(super) fn copied<'l>(lines: impl Iterator<Item = &'l Line>) -> String {
+    let mut text = String::new();
+    for line in lines {
+        let (at, source) = (
+            text::date_and_time(FleetMicros(line.at.0)),
+            line.source.as_str(),
+        );
+        text += &format!("{at} {source} {}\n", line.text);
+    }
+    text
+}
+
 impl LogView {
     /// Returns the indices of the lines that pass the filter.
     fn find(&mut self, model: &Model) -> &[usize] {
@@ -77,7 +102,7 @@ impl LogView {
             .is_some_and(|found| found.count == log.count() && found.filter == self.filter);
         if !fresh {
             let wanted = self.filter.to_lowercase();
-            let passes = |line: &crate::model::log::Line| {
+            let passes = |line: &Line| {
                 wanted.is_empty()
                     || line.source.as_str().contains(&wanted)
                     || line.text.to_lowercase().contains(&wanted)

@@ -267,8 +267,12 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
         let progress = progress.map(|progress| format!(" {}/{}", progress.done, progress.total));
         facts.push(("job", format!("{job}{}", progress.unwrap_or_default())));
     }
-    facts.push(("position", text::positions(&node.positions_steps())));
-    facts.push(("speed", text::speeds(&node.speeds_hz())));
+    let position = text::positions(&node.positions_steps());
+    facts.push(("position", format!("{position} steps")));
+    let speeds_hz = node.speeds_hz();
+    let still = speeds_hz.iter().all(|speed_hz| *speed_hz == 0.0);
+    let unit = if still { "" } else { " steps/s" };
+    facts.push(("speed", format!("{}{unit}", text::speeds(&speeds_hz))));
     if let Some((depth, free)) = node.queue() {
         facts.push(("queue", format!("{depth} waiting, room for {free}")));
     }
@@ -385,7 +389,12 @@ fn lines_ui(ui: &mut Ui, model: &Model, node: &Node) {
     let lines: Vec<_> = lines.iter().filter(its).collect();
     let count = text::count(lines.len(), "line");
     let words = format!("{count} of this node, the newest at the bottom");
-    ui.label(theme::toned(ui, Tone::Quiet, words));
+    ui.horizontal_wrapped(|ui| {
+        ui.label(theme::toned(ui, Tone::Quiet, words));
+        if ui.button("Copy lines").clicked() {
+            ui.copy_text(super::log::copied(lines.iter().copied()));
+        }
+    });
     let height = ui.text_style_height(&TextStyle::Monospace);
     ScrollArea::both()
         .auto_shrink(false)

@@ -89,8 +89,8 @@ pub(super) fn path_ui(ui: &mut Ui, node: &Node, view: &mut NodeView) {
         return;
     }
     ui.horizontal(|ui| {
-        axis_choice(ui, "Right", &mut view.path_right, axis_count);
-        axis_choice(ui, "Up", &mut view.path_up, axis_count);
+        axis_choice(ui, "Horizontal", &mut view.path_right, axis_count);
+        axis_choice(ui, "Vertical", &mut view.path_up, axis_count);
     });
     ui.label(theme::toned(ui, Tone::Quiet, HINT).small());
     let (right, up) = (view.path_right, view.path_up);

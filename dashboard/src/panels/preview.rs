@@ -12,6 +12,9 @@ use egui_plot::{Line, Plot, PlotPoints};
 /// Least height of the path, points; where there is less room, it is scrolled.
 const PATH_HEIGHT_MIN: f32 = 80.0;
 
+/// Least height of a path that has room for the names of its axes, points.
+const NAMED_HEIGHT_MIN: f32 = 130.0;
+
 /// Shows an estimate.
 pub(super) fn preview_ui(ui: &mut Ui, estimate: &Estimate) {
     egui::ScrollArea::vertical()
@@ -41,6 +44,7 @@ fn facts_and_path_ui(ui: &mut Ui, estimate: &Estimate) {
         ui.label(theme::toned(ui, Tone::Quiet, "nothing moves"));
         return;
     }
+    ui.spacing_mut().item_spacing.y = 1.0;
     for axis in &moving {
         let reach = estimate.reach[*axis];
         let words = format!(
@@ -49,7 +53,7 @@ fn facts_and_path_ui(ui: &mut Ui, estimate: &Estimate) {
             text::steps(reach.most_steps),
             text::steps(i64::try_from(reach.travel_steps).unwrap_or(i64::MAX))
         );
-        ui.label(words);
+        ui.label(egui::RichText::new(words).small());
     }
     // One axis alone is drawn over the order of its commands.
     let (x, y) = (moving[0], moving.get(1).copied());
@@ -58,21 +62,27 @@ fn facts_and_path_ui(ui: &mut Ui, estimate: &Estimate) {
     if y.is_some() {
         plot = plot.data_aspect(1.0);
     }
-    plot.height(ui.available_height().max(PATH_HEIGHT_MIN))
-        .show_axes(false)
-        .allow_scroll(false)
-        .show(ui, |plot| {
-            let mut count = 0;
-            for (number, line) in estimate.lines.iter().enumerate() {
-                let points = line.iter().map(|at| {
-                    count += 1_u32;
-                    match y {
-                        Some(y) => [at[x] as f64, at[y] as f64],
-                        None => [f64::from(count - 1), at[x] as f64],
-                    }
-                });
-                let points: PlotPoints<'_> = points.collect();
-                plot.line(Line::new(format!("part {number}"), points).color(color));
-            }
-        });
+    let height = ui.available_height().max(PATH_HEIGHT_MIN);
+    if height >= NAMED_HEIGHT_MIN {
+        plot = plot
+            .x_axis_label(match y {
+                Some(_) => format!("axis {x}, steps"),
+                None => "commands".to_owned(),
+            })
+            .y_axis_label(format!("axis {}, steps", y.unwrap_or(x)));
+    }
+    plot.height(height).allow_scroll(false).show(ui, |plot| {
+        let mut count = 0;
+        for (number, line) in estimate.lines.iter().enumerate() {
+            let points = line.iter().map(|at| {
+                count += 1_u32;
+                match y {
+                    Some(y) => [at[x] as f64, at[y] as f64],
+                    None => [f64::from(count - 1), at[x] as f64],
+                }
+            });
+            let points: PlotPoints<'_> = points.collect();
+            plot.line(Line::new(format!("part {number}"), points).color(color));
+        }
+    });
 }

@@ -216,12 +216,15 @@ fn readings_ui(ui: &mut Ui, shown: &Shown, cursor_ps: Option<u64>) {
         let mut words = format!("axis {}: {} steps", axis.name, reading.position_steps);
         match (reading.interval_s, reading.speed_hz) {
             (Some(interval_s), Some(speed_hz)) => {
-                words += &format!(", interval {:.4} µs, {speed_hz:.1} /s", interval_s * 1e6);
+                words += &format!(
+                    ", interval {:.4} µs, {speed_hz:.1} steps/s",
+                    interval_s * 1e6
+                );
             }
             _ => words += ", between no two steps",
         }
         if let Some(acceleration) = reading.acceleration_hz2 {
-            words += &format!(", {acceleration:.0} /s²");
+            words += &format!(", {acceleration:.0} steps/s²");
         }
         ui.label(theme::toned(ui, Tone::Plain, words).small());
     }
@@ -382,7 +385,7 @@ fn verdict_ui(ui: &mut Ui, shown: &Shown) -> Option<(u64, u64)> {
                 };
                 let words = format!("{:.3} µs: {message}", at_ps as f64 / PS_PER_US);
                 let words = theme::toned(ui, Tone::Bad, words);
-                let button = egui::Button::new(words).frame(false).truncate();
+                let button = egui::Button::new(words).frame(false).wrap();
                 if ui.add(button).on_hover_text("Show it").clicked() {
                     let from_ps = at_ps.saturating_sub(AROUND_PS);
                     wanted = Some((from_ps, at_ps.saturating_add(AROUND_PS)));
@@ -416,13 +419,15 @@ fn findings_ui(ui: &mut Ui, shown: &Shown) -> Option<(u64, u64)> {
                 let axis = &shown.capture.axes[found.axis].name;
                 let at_us = found.at_ps as f64 / PS_PER_US;
                 let (was_ns, least_ns) = (found.was_ps as f64 / 1e3, found.least_ps / 1_000);
+                // The numbers first: the end of a long line may be cut off.
                 let words = format!(
-                    "{at_us:.3} µs axis {axis}: {}, {was_ns:.1} of {least_ns} ns",
+                    "{at_us:.3} µs axis {axis}: {was_ns:.1} of {least_ns} ns, {}",
                     found.rule.as_str()
                 );
+                let hint = format!("{words}\nClick: show it");
                 let words = theme::toned(ui, Tone::Bad, words);
                 let button = egui::Button::new(words).frame(false).truncate();
-                if ui.add(button).on_hover_text("Show it").clicked() {
+                if ui.add(button).on_hover_text(hint).clicked() {
                     let around_ps = 10 * found.least_ps.max(1_000);
                     let from_ps = found.at_ps.saturating_sub(around_ps);
                     wanted = Some((from_ps, found.at_ps.saturating_add(around_ps)));

@@ -53,8 +53,10 @@ pub fn recording_ui(ui: &mut Ui, session: &Session, view: &mut View) {
             }
         }
         if let Some(recorder) = session.recorder() {
+            let file = recorder.path().file_name().unwrap_or_default();
+            let file = file.to_string_lossy();
             let written_kb = recorder.written_bytes() / 1_000;
-            let words = format!("⏺ recording, {written_kb} kB written");
+            let words = format!("⏺ recording, {written_kb} kB written to {file}");
             ui.label(theme::toned(ui, Tone::Busy, words));
             if recorder.left_out() > 0 {
                 let words = format!("⚠ {} messages left out", recorder.left_out());
@@ -136,6 +138,10 @@ pub fn replay_ui(ui: &mut Ui, session: &Session, live: &Model, view: &mut View) 
             }
         }
         slider_ui(ui, replay, wish);
+        if replay.is_behind() {
+            let words = format!("⌛ {} %: going there", replay.done_percent());
+            ui.label(theme::toned(ui, Tone::Warn, words));
+        }
         let recording = replay.recording();
         if recording.left_out > 0 {
             let words = format!("⚠ {} messages were left out", recording.left_out);

@@ -11,7 +11,7 @@ use crate::{
     view::View,
 };
 use egui::{RichText, Ui};
-use keys::StopMode;
+use keys::{NodeId, StopMode};
 use serde::{Deserialize, Serialize};
 
 /// Names of missing nodes that are spelled out; the rest is a number.
@@ -65,6 +65,12 @@ pub fn stop_ui(ui: &mut Ui, model: &Model, view: &mut View, _requests: &mut Requ
         }
     });
     missing_ui(ui, model, effort);
+    let coming: Vec<_> = effort.coming_to_rest().collect();
+    if !coming.is_empty() {
+        let words = names(model, &coming);
+        let words = format!("latched, and still coming to rest: {words}");
+        ui.label(theme::toned(ui, Tone::Warn, words));
+    }
     for refusal in effort.refused() {
         ui.label(theme::toned(ui, Tone::Bad, format!("✖ refused: {refusal}")));
     }
@@ -98,18 +104,24 @@ fn effect(effort: &Effort) -> String {
 }
 
 fn missing_ui(ui: &mut Ui, model: &Model, effort: &Effort) {
-    if effort.is_complete() {
+    let missing: Vec<_> = effort.missing().collect();
+    if missing.is_empty() {
         return;
     }
-    let missing: Vec<_> = effort.missing().collect();
-    let names = missing.iter().take(NAMES_SHOWN).map(|id| {
+    let words = format!("missing: {}", names(model, &missing));
+    ui.label(theme::toned(ui, Tone::Bad, words));
+}
+
+/// Returns the names of nodes, as many as fit.
+fn names(model: &Model, nodes: &[NodeId]) -> String {
+    let names = nodes.iter().take(NAMES_SHOWN).map(|id| {
         let gone = model.node(id).is_some_and(|node| !node.is_there());
         let mark = if gone { " (gone)" } else { "" };
         format!("{id}{mark}")
     });
-    let mut words = format!("missing: {}", names.collect::<Vec<_>>().join(", "));
-    if missing.len() > NAMES_SHOWN {
-        words += &format!(" and {} more", missing.len() - NAMES_SHOWN);
+    let mut words = names.collect::<Vec<_>>().join(", ");
+    if nodes.len() > NAMES_SHOWN {
+        words += &format!(" and {} more", nodes.len() - NAMES_SHOWN);
     }
-    ui.label(theme::toned(ui, Tone::Bad, words));
+    words
 }

@@ -32,6 +32,14 @@ pub(super) fn table_ui<R>(
         .show(ui, &mut rows);
 }
 
+/// Lets a cell at the edge of the table be cut with dots: half of a number is another number.
+pub(super) fn keep_in_sight(ui: &mut Ui) {
+    let in_sight = ui.clip_rect().right() - ui.max_rect().left();
+    if in_sight < ui.available_width() {
+        ui.set_max_width(in_sight.max(0.0));
+    }
+}
+
 struct Rows<'a, R, F> {
     columns: &'a Columns,
     records: &'a [R],
@@ -49,7 +57,12 @@ where
             ui.set_min_width(width);
             return;
         }
-        ui.label(RichText::new(title).strong());
+        egui::Frame::new()
+            .inner_margin(Margin::symmetric(4, 2))
+            .show(ui, |ui| {
+                keep_in_sight(ui);
+                ui.add(Label::new(RichText::new(title).strong()).truncate());
+            });
     }
 
     fn cell_ui(&mut self, ui: &mut Ui, cell: &CellInfo) {
@@ -63,6 +76,7 @@ where
         egui::Frame::new()
             .inner_margin(Margin::symmetric(4, 2))
             .show(ui, |ui| {
+                keep_in_sight(ui);
                 if let Some(text) = (self.cell)(ui, record, cell.col_nr) {
                     ui.add(Label::new(text).truncate());
                 }

@@ -3,14 +3,16 @@
 use crate::{
     model::{
         Model, Totals,
+        alarms::Alarms,
         link::{LinkState, Phase},
     },
+    recording::session::Session,
     request::{Request, Requests, Scope},
     text,
     theme::{self, Badge, Tone},
     view::{Tab, View},
 };
-use egui::{Align, Layout, RichText, Ui};
+use egui::{Align, Label, Layout, RichText, Ui};
 use keys::StopMode;
 
 /// Room for the buttons at the right, points.
@@ -20,7 +22,13 @@ const BUTTONS_WIDTH: f32 = 145.0;
 const NUMBERS_WIDTH_MIN: f32 = 150.0;
 
 /// Shows the bar.
-pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
+pub fn top_ui(
+    ui: &mut Ui,
+    model: &Model,
+    session: &Session,
+    view: &mut View,
+    requests: &mut Requests,
+) {
     ui.add_space(4.0);
     ui.horizontal(|ui| {
         ui.set_min_height(theme::STOP_ALL_SIZE.y);
@@ -39,7 +47,8 @@ pub fn top_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reques
             ui.set_max_width((ui.available_width() - BUTTONS_WIDTH).max(NUMBERS_WIDTH_MIN));
             ui.horizontal_wrapped(|ui| {
                 counts_ui(ui, &totals);
-                alarms_ui(ui, model.alarms().unseen(), view);
+                alarms_ui(ui, model.alarms(), view);
+                recording_ui(ui, session, view);
             });
             ui.horizontal_wrapped(|ui| {
                 link_ui(ui, model);
@@ -79,28 +88,67 @@ fn stop_all_ui(ui: &mut Ui, requests: &mut Requests) {
 fn counts_ui(ui: &mut Ui, totals: &Totals) {
     let count = |ui: &mut Ui, tone: Tone, icon: &str, count: usize, word: &str| {
         let tone = if count == 0 { Tone::Quiet } else { tone };
-        ui.label(theme::toned(ui, tone, format!("{icon} {count} {word}")));
+        let words = theme::toned(ui, tone, format!("{icon} {count} {word}"));
+        // Never in the middle of it onto the next line.
+        ui.add(Label::new(words).extend());
     };
     if totals.unknown > 0 {
         count(ui, Tone::Bad, "?", totals.unknown, "unknown");
     }
     count(ui, Tone::Good, "●", totals.alive, "alive");
     count(ui, Tone::Busy, "▶", totals.running, "running");
-    count(ui, Tone::Warn, "⚠", totals.stale, "silent");
     count(ui, Tone::Quiet, "○", totals.offline, "offline");
     count(ui, Tone::Bad, "⏹", totals.stopped, "stopped");
+    // Rare, and room is short on a small screen.
+    for (tone, icon, number, word) in [
+        (Tone::Warn, "⚠", totals.stale, "silent"),
+        (Tone::Bad, "✖", totals.faults, "fault"),
+    ] {
+        if number > 0 {
+            count(ui, tone, icon, number, word);
+        }
+    }
 }
 
-/// Opens the list. Those that somebody has seen are not counted.
-fn alarms_ui(ui: &mut Ui, unseen: usize, view: &mut View) {
-    let tone = if unseen == 0 { Tone::Quiet } else { Tone::Bad };
-    let words = theme::toned(ui, tone, format!("⚠ {}", text::count(unseen, "alarm")));
+/// Opens the list. What somebody has seen counts on while its cause is there.
+fn alarms_ui(ui: &mut Ui, alarms: &Alarms, view: &mut View) {
+    let (unseen, open) = (alarms.unseen(), alarms.open());
+    let mut words = format!("⚠ {}", text::count(unseen, "alarm"));
+    if unseen == 0 && open > 0 {
+        words += &format!(", {open} still open");
+    }
+    let tone = match (unseen, open) {
+        (0, 0) => Tone::Quiet,
+        (0, _) => Tone::Warn,
+        _ => Tone::Bad,
+    };
+    let words = theme::toned(ui, tone, words);
     let button = ui.add(egui::Button::new(words).small());
     if button
         .on_hover_text("not acknowledged; opens the list (Ctrl+M)")
         .clicked()
     {
         view.tab = Tab::Alarms;
+    }
+}
+
+/// Says that a recording runs, or that it should and does not; opens the panel.
+fn recording_ui(ui: &mut Ui, session: &Session, view: &mut View) {
+    let Some(recorder) = session.recorder() else {
+        return;
+    };
+    let (words, tone, hint) = match recorder.failed() {
+        None => (
+            "⏺ recording",
+            Tone::Busy,
+            recorder.path().display().to_string(),
+        ),
+        Some(why) => ("✖ NOT RECORDED", Tone::Bad, why),
+    };
+    let words = theme::toned(ui, tone, words);
+    let button = ui.add(egui::Button::new(words).small());
+    if button.on_hover_text(hint).clicked() {
+        view.tab = Tab::Recording;
     }
 }
 
@@ -142,6 +190,7 @@ fn clock_ui(ui: &mut Ui, worst_us: Option<f64>, unknown: usize) {
     ui.label(theme::toned(ui, Tone::Quiet, words));
     if unknown > 0 && worst_us.is_some() {
         let words = format!("⚠ {} without a clock", text::count(unknown, "node"));
-        ui.label(theme::toned(ui, Tone::Warn, words));
+        let words = theme::toned(ui, Tone::Warn, words);
+        ui.add(Label::new(words).extend());
     }
 }

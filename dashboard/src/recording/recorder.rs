@@ -1,6 +1,6 @@
 //! Writes a recording while the session goes on, on a thread of its own.
 
-use super::{BYTES_MAX, Head, Line, Thinner, VERSION, to_line};
+use super::{Head, Line, Thinner, VERSION, to_line};
 use crate::message::{Message, Moment};
 use std::{
     fs::OpenOptions,
@@ -39,14 +39,20 @@ pub struct Recorder {
     // Not yet told to the file.
     left_out_since: u64,
     bytes: u64,
+    bytes_max: u64,
 }
 
 impl Recorder {
-    /// Makes a new file and begins with this picture.
+    /// Makes a new file of at most so many bytes and begins with this picture.
     ///
     /// # Errors
     /// The file exists already, or cannot be made.
-    pub fn start(path: &Path, now: Moment, picture: Vec<Message>) -> io::Result<Self> {
+    pub fn start(
+        path: &Path,
+        now: Moment,
+        picture: Vec<Message>,
+        bytes_max: u64,
+    ) -> io::Result<Self> {
         // Never over another one.
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
         let (lines, waiting) = sync_channel(WAITING_MAX);
@@ -64,6 +70,7 @@ impl Recorder {
             left_out: 0,
             left_out_since: 0,
             bytes: 0,
+            bytes_max,
         };
         recorder.send(to_line(&Head {
             stepfleet_recording: VERSION,
@@ -80,31 +87,41 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// Takes what was heard or asked.
-    pub fn heard(&mut self, at: Moment, message: &Message) {
+    /// Takes what was heard or asked. Returns whether the file has room for it: else it is as if
+    /// nothing had been said, and the next file begins with it.
+    pub fn heard(&mut self, at: Moment, message: &Message) -> bool {
         let line = Line {
             at,
             message: Some(message.clone()),
             left_out: self.left_out_since,
         };
         let line = to_line(&line);
+        if self.bytes + line.len() as u64 > self.bytes_max {
+            return false;
+        }
         let keeps = self.thinner.keeps(at, message, line.len());
         if keeps && self.send(line) {
             self.left_out_since = 0;
         } else {
-            self.left_out += 1;
-            self.left_out_since += 1;
+            self.leave_out();
         }
+        true
+    }
+
+    /// Counts a message that is not written.
+    pub(super) fn leave_out(&mut self) {
+        self.left_out += 1;
+        self.left_out_since += 1;
+    }
+
+    /// Writes nothing more, for this reason.
+    pub(super) fn fail(&self, why: String) {
+        self.shared.fail(why);
     }
 
     /// Returns whether there was room.
     fn send(&mut self, line: String) -> bool {
         let bytes = self.bytes + line.len() as u64;
-        if bytes > BYTES_MAX {
-            let why = format!("full: a recording has at most {} MiB", BYTES_MAX >> 20);
-            self.shared.fail(why);
-            return false;
-        }
         let sent = self
             .lines
             .as_ref()
@@ -123,6 +140,11 @@ impl Recorder {
     /// Returns how much was written, bytes.
     pub fn written_bytes(&self) -> u64 {
         self.shared.written_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Returns how much was taken to be written, bytes.
+    pub fn taken_bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Returns how many messages were left out.

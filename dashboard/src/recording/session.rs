@@ -1,12 +1,12 @@
 //! What is recorded and what is shown again, as the window holds it.
 
-use super::{Recording, picture, recorder::Recorder, replay::Replay};
+use super::{BYTES_MAX, PARTS_MAX, Recording, picture, recorder::Recorder, replay::Replay};
 use crate::{
     message::{Message, Moment},
     model::Model,
     request::{Request, Scope},
 };
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What the operator wants of recordings.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,20 +26,76 @@ pub enum Wish {
 }
 
 /// See the module.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Session {
+    /// Largest file, bytes; the recording goes on in the next one.
+    pub part_bytes_max: u64,
     recorder: Option<Recorder>,
+    // The first file, and how many there are.
+    first: PathBuf,
+    part_count: u32,
     replay: Option<Replay>,
     refused: Option<String>,
     failed: Option<String>,
 }
 
-impl Session {
-    /// Records what was heard or asked, if a recording runs.
-    pub fn heard(&mut self, at: Moment, message: &Message) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.heard(at, message);
+impl Default for Session {
+    fn default() -> Self {
+        Self {
+            part_bytes_max: BYTES_MAX,
+            recorder: None,
+            first: PathBuf::new(),
+            part_count: 0,
+            replay: None,
+            refused: None,
+            failed: None,
         }
+    }
+}
+
+impl Session {
+    /// Records what was heard or asked, if a recording runs. `live` is what is known before it.
+    pub fn heard(&mut self, at: Moment, message: &Message, live: &Model) {
+        let Some(recorder) = &mut self.recorder else {
+            return;
+        };
+        if recorder.heard(at, message) {
+            return;
+        }
+        match self.next_part(at, live) {
+            Ok(mut next) => {
+                // A message larger than a file is left out.
+                if !next.heard(at, message) {
+                    next.leave_out();
+                }
+                self.recorder = Some(next);
+            }
+            Err(why) => {
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.fail(why);
+                    recorder.leave_out();
+                }
+            }
+        }
+    }
+
+    /// Begins the next file of the recording: `day-2.jsonl` after `day.jsonl`.
+    fn next_part(&mut self, at: Moment, live: &Model) -> Result<Recorder, String> {
+        if self.part_count >= PARTS_MAX {
+            return Err(format!("full: a recording has at most {PARTS_MAX} files"));
+        }
+        if let Some(why) = self.recorder.as_ref().and_then(Recorder::failed) {
+            return Err(why);
+        }
+        self.part_count += 1;
+        let stem = self.first.file_stem().unwrap_or_default();
+        let mut name = format!("{}-{}", stem.to_string_lossy(), self.part_count);
+        if let Some(extension) = self.first.extension() {
+            name += &format!(".{}", extension.to_string_lossy());
+        }
+        let path = self.first.with_file_name(name);
+        Recorder::start(&path, at, picture(live), self.part_bytes_max)
+            .map_err(|error| format!("{}: {error}", path.display()))
     }
 
     /// Begins to record into a new file.
@@ -48,7 +104,14 @@ impl Session {
             return;
         }
         self.failed = None;
-        match Recorder::start(Path::new(path), live.now(), picture(live)) {
+        (self.first, self.part_count) = (PathBuf::from(path), 1);
+        let begun = Recorder::start(
+            Path::new(path),
+            live.now(),
+            picture(live),
+            self.part_bytes_max,
+        );
+        match begun {
             Ok(recorder) => self.recorder = Some(recorder),
             Err(error) => self.failed = Some(format!("{path}: {error}")),
         }

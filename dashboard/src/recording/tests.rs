@@ -1,6 +1,11 @@
 //! Recordings: what is written is read, with a bound on everything.
 
-use super::{recorder::Recorder, replay::Replay, *};
+use super::{
+    recorder::Recorder,
+    replay::{Replay, SLICE},
+    session::Session,
+    *,
+};
 use keys::{JobId, StopMode, record::JobRecord};
 
 fn node() -> NodeId {
@@ -41,7 +46,8 @@ fn what_is_recorded_is_replayed_to_the_same_picture() {
     };
     live.apply(at_ms(0), alive);
     live.apply(at_ms(0), status());
-    let mut recorder = Recorder::start(&file, at_ms(10), picture(&live)).expect("a file");
+    let mut recorder =
+        Recorder::start(&file, at_ms(10), picture(&live), BYTES_MAX).expect("a file");
     let stop = Message::StopAsked {
         ticket: crate::request::Ticket(1),
         scope: crate::request::Scope::All,
@@ -84,7 +90,7 @@ fn what_is_recorded_is_replayed_to_the_same_picture() {
     assert_eq!(shown(&replay).2, 1, "the stop is part of it");
     replay.seek(at_ms(1_500));
     assert_eq!(shown(&replay).2, 0, "back before the stop");
-    let error = Recorder::start(&file, at_ms(0), Vec::new()).expect_err("it exists");
+    let error = Recorder::start(&file, at_ms(0), Vec::new(), BYTES_MAX).expect_err("it exists");
     assert_eq!(error.kind(), std::io::ErrorKind::AlreadyExists);
 }
 
@@ -117,7 +123,7 @@ fn playing_moves_by_the_live_clock_and_ends_at_the_end() {
 fn a_flood_is_thinned_and_counted_in_the_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("flood.jsonl");
-    let mut recorder = Recorder::start(&file, at_ms(0), Vec::new()).expect("a file");
+    let mut recorder = Recorder::start(&file, at_ms(0), Vec::new(), BYTES_MAX).expect("a file");
     for ms in 0..1_000 {
         recorder.heard(at_ms(ms), &status());
     }
@@ -161,4 +167,81 @@ fn a_file_that_is_none_and_one_cut_by_a_crash() {
     assert_eq!((recording.messages.len(), recording.broken), (1, 1));
     let garbage = format!("{head}{}", "rubbish\n".repeat(BROKEN_MAX + 1));
     assert!(Recording::parse(&garbage).is_err());
+}
+
+#[test]
+fn a_full_file_is_followed_by_the_next_which_can_be_shown_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = folder.path().join("day.jsonl");
+    let mut live = Model::default();
+    let alive = Message::Alive {
+        node: node(),
+        alive: true,
+    };
+    live.apply(at_ms(0), alive);
+    let mut session = Session::default();
+    session.part_bytes_max = 1_500;
+    session.record(&first.display().to_string(), &live);
+    for number in 0..40 {
+        session.heard(at_ms(number), &log(number), &live);
+        live.apply(at_ms(number), log(number));
+    }
+    let path = session.recorder().expect("it goes on").path().to_owned();
+    assert_eq!(session.recorder().and_then(Recorder::failed), None);
+    session.end_record();
+    assert_eq!(path, folder.path().join("day-3.jsonl"));
+    let mut lines = Vec::new();
+    for name in ["day.jsonl", "day-2.jsonl", "day-3.jsonl"] {
+        let text = std::fs::read_to_string(folder.path().join(name)).expect("a file");
+        assert!(text.len() <= 1_500, "{name}: {}", text.len());
+        let recording = Recording::parse(&text).expect("a recording");
+        let replay = Replay::new(name.to_owned(), recording.clone());
+        assert_eq!(replay.model().nodes().count(), 1, "{name}");
+        let is_line = |(_, message): &(Moment, Message)| match message {
+            Message::Log { text, .. } => Some(text.clone()),
+            _ => None,
+        };
+        lines.extend(recording.messages.iter().filter_map(is_line));
+    }
+    let expected: Vec<String> = (0..40).map(|number| format!("line {number}")).collect();
+    assert_eq!(lines, expected, "none is lost, none twice");
+    // The next name is taken: told, and nothing is written over.
+    session.record(
+        &folder.path().join("night.jsonl").display().to_string(),
+        &live,
+    );
+    std::fs::write(folder.path().join("night-2.jsonl"), "mine").expect("written");
+    for number in 0..40 {
+        session.heard(at_ms(number), &log(number), &live);
+    }
+    let failed = session.recorder().and_then(Recorder::failed);
+    assert!(failed.is_some_and(|why| why.contains("night-2.jsonl")));
+}
+
+#[test]
+fn a_seek_over_many_messages_is_done_in_slices() {
+    let count = 3 * SLICE as u64;
+    let messages = (0..count).map(|ms| (at_ms(ms), log(ms))).collect();
+    let recording = Recording {
+        began: at_ms(0),
+        ended: at_ms(count - 1),
+        messages,
+        ..Recording::default()
+    };
+    let mut replay = Replay::new("day".to_owned(), recording);
+    replay.seek(at_ms(count));
+    let told = |replay: &Replay| replay.model().log().count() as usize;
+    assert_eq!((told(&replay), replay.is_behind()), (SLICE + 1, true));
+    assert_eq!(replay.done_percent(), 33);
+    replay.play(at_ms(0));
+    replay.play(at_ms(0));
+    assert_eq!((told(&replay), replay.is_behind()), (3 * SLICE, false));
+    // Back: from the beginning, in slices again, and its clock waits until it is there.
+    replay.seek(at_ms(count - 2));
+    assert!(replay.is_behind());
+    replay.speed = 1.0;
+    replay.play(at_ms(500));
+    replay.play(at_ms(900));
+    assert_eq!(replay.at(), at_ms(count - 2));
+    assert_eq!((told(&replay), replay.is_behind()), (3 * SLICE - 1, false));
 }

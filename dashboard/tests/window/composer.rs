@@ -52,7 +52,10 @@ fn a_preview_begins_where_the_node_rests() {
 fn a_script_is_sent_as_lua() {
     let mut screen = show(composing("cell-a-2", SQUARE));
     button(&mut screen, "Lua");
-    assert!(shows(&screen, "the gateway checks it"));
+    assert!(shows(&screen, "✔ Lua"));
+    screen.state_mut().view.composer.script = "motor.execute(\n".to_owned();
+    screen.run_steps(2);
+    assert!(shows(&screen, "⚠ no Lua? line "));
     screen.state_mut().view.composer.script = "print('hello')".to_owned();
     screen.run_steps(2);
     button(&mut screen, "Send job");
@@ -184,6 +187,48 @@ fn a_file_dropped_on_a_row_is_for_that_node() {
         (Tab::Compose, "cell-b-1")
     );
     assert_eq!(view.composer.text, SQUARE);
+}
+
+#[test]
+fn where_the_system_tells_no_place_a_dropped_file_is_for_what_is_selected_and_says_so() {
+    let drop = |prepare: &dyn Fn(&mut Dashboard)| {
+        let mut dashboard = fleet();
+        dashboard.view.composer.target = "spare".to_owned();
+        prepare(&mut dashboard);
+        let mut screen = show(dashboard);
+        screen.remove_cursor();
+        screen.run_steps(2);
+        let file = std::sync::Arc::new(Dropped);
+        screen.input_mut().dropped_files.push(file);
+        screen.run_steps(1);
+        opened(&mut screen, SQUARE);
+        screen
+    };
+    let screen = drop(&|dashboard| dashboard.view.focus = Some(node("cell-b-1")));
+    assert_eq!(screen.state().view.composer.target, "cell-b-1");
+    assert!(shows(
+        &screen,
+        "did not tell where the file fell; it is for cell-b-1"
+    ));
+    let both = BTreeSet::from([node("cell-a-1"), node("cell-a-2")]);
+    let screen = drop(&|dashboard| dashboard.view.selection.clone_from(&both));
+    assert!(screen.state().view.composer.to_selection);
+    assert!(shows(&screen, "it is for the 2 selected nodes"));
+    let screen = drop(&|_| {});
+    assert!(shows(&screen, "no node is selected: say for whom it is"));
+}
+
+#[test]
+fn a_selection_says_who_is_there_and_who_is_not() {
+    let mut dashboard = composing("", SQUARE);
+    dashboard.view.selection = BTreeSet::from([node("cell-a-1"), node("cell-b-3")]);
+    dashboard.view.composer.to_selection = true;
+    let screen = show(dashboard);
+    assert!(shows(&screen, "● reaches 1 node: cell-a-1"));
+    assert!(shows(
+        &screen,
+        "so that the job waits there: 1 node: cell-b-3"
+    ));
 }
 
 #[test]

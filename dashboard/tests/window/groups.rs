@@ -90,6 +90,17 @@ fn told(screen: &mut Window, version: u64, mut record: JobRecord) {
     screen.run_steps(2);
 }
 
+/// The record when the instant is fixed: half a second after it.
+fn fixed() -> JobRecord {
+    let mut fixed = record(JobState::Sent, None);
+    for part in fixed.parts.iter_mut().flatten() {
+        part.1.state = JobState::Sent;
+    }
+    fixed.updated = FleetMicros(at_ms(700).0);
+    fixed.starts_at = Some(FleetMicros(at_ms(1_200).0));
+    fixed
+}
+
 fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
     StartRecord {
         planned: FleetMicros(at_ms(planned_ms).0),
@@ -99,6 +110,7 @@ fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
             .map(|(name, us)| (node(name), *us))
             .collect(),
         uncertainty_us: 55.0,
+        max_skew_us: Some(1_000.0),
     }
 }
 
@@ -107,12 +119,16 @@ fn a_synchronized_job_is_followed_from_ready_to_the_measured_skew() {
     let mut screen = sent();
     told(&mut screen, 4, record(JobState::Sent, None));
     assert!(shows(&screen, "1 of 2 ready"));
-    told(
-        &mut screen,
-        5,
-        record(JobState::Sent, Some(start(1_500, &[]))),
-    );
-    assert!(shows(&screen, "starts in 500.0 ms"));
+    told(&mut screen, 5, fixed());
+    assert!(shows(&screen, "all ready, starts in 500.0 ms"));
+    let repeat = screen.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay;
+    assert!(repeat <= dashboard::app::FRAME_EVERY, "{repeat:?}");
+    screen.state_mut().model.tick(at_ms(1_400));
+    screen.run_steps(2);
+    assert!(shows(&screen, "starts in 100.0 ms"));
+    screen.state_mut().model.tick(at_ms(1_501));
+    screen.run_steps(2);
+    assert!(shows(&screen, "starts now"));
     let measured = start(900, &[("cell-a-2", 0.0), ("cell-a-3", 38.2)]);
     told(&mut screen, 6, record(JobState::Running, Some(measured)));
     assert!(shows(&screen, "started 38 µs apart ± 55 µs"));
@@ -157,9 +173,8 @@ fn a_node_that_is_not_there_is_named_before_sending() {
     assert!(shows(&screen, "not there: cell-b-3"));
 }
 
-#[test]
-fn picture_of_a_synchronized_job() {
-    picture_of("group_job", || {
+fn picture_of_record(name: &str, record: impl Fn() -> JobRecord) {
+    picture_of(name, || {
         let mut dashboard = editing();
         let selection = dashboard.view.selection.clone();
         dashboard.view.group_job.add(&selection);
@@ -182,9 +197,21 @@ fn picture_of_a_synchronized_job() {
             at_ms(1_000),
             Message::Answer { ticket, answer },
         );
-        let measured = start(900, &[("cell-a-2", 0.0), ("cell-a-3", 38.2)]);
-        let record = record(JobState::Running, Some(measured));
-        tell(&mut dashboard, at_ms(1_000), Message::Job(Box::new(record)));
+        let record = Message::Job(Box::new(record()));
+        tell(&mut dashboard, at_ms(1_000), record);
         dashboard
     });
+}
+
+#[test]
+fn picture_of_a_synchronized_job() {
+    picture_of_record("group_job", || {
+        let measured = start(900, &[("cell-a-2", 0.0), ("cell-a-3", 38.2)]);
+        record(JobState::Running, Some(measured))
+    });
+}
+
+#[test]
+fn picture_of_a_countdown() {
+    picture_of_record("countdown", fixed);
 }

@@ -14,4 +14,5 @@ mod panels;
 mod pulses;
 mod recording;
 mod scale;
+mod stop;
 mod timeline;

@@ -14,7 +14,7 @@ use keys::{
     record::{ClockRecord, FaultRecord, LinkRecord, NodeWord, PaceRecord},
 };
 
-const SIZE: [f32; 2] = [1_000.0, 780.0];
+const SIZE: [f32; 2] = [1_000.0, 900.0];
 
 /// Two axes draw a circle of 4,000 steps in 10 s; the laser is on for the second half. The clock
 /// drifts and its error shrinks.
@@ -161,7 +161,7 @@ fn the_cursor_reads_position_speed_and_queue() {
 fn the_path_shows_any_two_axes() {
     let mut window = page(Page::Path);
     assert!(shows(&window, "Plot of the tool's path"));
-    click(&mut window, Role::ComboBox, "Up");
+    click(&mut window, Role::ComboBox, "Vertical");
     button(&mut window, "axis 0");
     assert_eq!(window.state().view.node.path_up, 0);
 }
@@ -270,12 +270,71 @@ fn a_node_is_held_resumed_and_slowed_and_says_what_became_of_it() {
     assert!(shows(&window, "✔ speed 50 % taken"));
 }
 
+#[test]
+fn the_clocks_table_has_the_round_trips() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = page(Page::Clock);
+    window.state_mut().view.node.folder = folder.path().display().to_string();
+    button(&mut window, "Save CSV");
+    window.state_mut().files.wait();
+    window.run_steps(2);
+    let file = folder.path().join("laser-1-clock-2026-11-21T030010.csv");
+    let text = std::fs::read_to_string(&file).expect("the file");
+    let lines: Vec<&str> = text.lines().collect();
+    let head = "heard_unix_us,offset_us,error_us,drift_ppm,rtt_us_min,rtt_us_max";
+    assert_eq!(lines[0], head);
+    assert_eq!(lines[1], "1795230000000000,1000,220,-10,400,1000");
+    assert!(lines.last().is_some_and(|last| last.ends_with(",400,2000")));
+}
+
+#[test]
+fn a_plot_becomes_a_picture() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut window = page(Page::Motion);
+    window.state_mut().view.node.folder = folder.path().display().to_string();
+    button(&mut window, "Save PNG");
+    window.run_steps(4);
+    assert!(shows(&window, "✔ written: "));
+    let file = folder.path().join("laser-1-motion-2026-11-21T030010.png");
+    let bytes = std::fs::read(file).expect("the file");
+    assert!(bytes.starts_with(b"\x89PNG\r\n"), "{} bytes", bytes.len());
+}
+
 fn picture_of_page(name: &str, page: Page) {
     picture(name, |theme| {
         let mut dashboard = circle();
         dashboard.view.node.page = page;
         show_in(dashboard, theme, SIZE)
     });
+}
+
+#[test]
+fn picture_of_the_overview() {
+    picture("node_overview", |theme| {
+        let mut dashboard = circle();
+        let vitals = Vitals {
+            chip_celsius: Some(52),
+            internal_free_bytes: Some(40_000),
+            psram_free_bytes: Some(7_340_032),
+            network_stack_free_bytes: Some(12_288),
+            planning_stack_free_bytes: Some(6_144),
+            ..Vitals::default()
+        };
+        let node = node("laser-1");
+        let told = Message::Vitals { node, vitals };
+        tell(&mut dashboard, at_ms(10_000), told);
+        show_in(dashboard, theme, SIZE)
+    });
+}
+
+#[test]
+fn picture_of_the_lines() {
+    picture_of_page("node_lines", Page::Lines);
+}
+
+#[test]
+fn picture_of_the_setup() {
+    picture_of_page("node_setup", Page::Setup);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Every panel, clicked by its accessible names, with a model fed from messages.
 
-use crate::fixture::{at_ms, fleet, job, node, status, tell, tell_status};
+use crate::fixture::{at_ms, fleet, job, node, tell};
 use crate::screen::{button, click, picture_of, show, shows};
 use dashboard::{
     app::Dashboard,
@@ -11,7 +11,7 @@ use dashboard::{
 use egui::{Key, Modifiers, Role};
 use egui_kittest::{Harness, kittest::Queryable as _};
 use keys::{
-    NodeState, StopMode,
+    StopMode,
     record::{ErrorCode, JobError, JobState, Receipt},
 };
 use std::collections::BTreeSet;
@@ -22,28 +22,121 @@ fn asked(harness: &mut crate::screen::Window) -> Vec<Request> {
     asked.map(|(_, request)| request).collect()
 }
 
-fn stop_all() -> Request {
-    Request::Stop {
-        scope: Scope::All,
-        mode: StopMode::Halt,
+#[test]
+fn every_column_says_what_it_knows_of_a_node() {
+    let mut harness = show(fleet());
+    harness.state_mut().view.fleet.filter = "cell-a-1".to_owned();
+    harness.run_steps(2);
+    for words in [
+        "▶ running",
+        "engrave-7 12/40",
+        "28/4096",
+        "2\u{a0}000 · -1\u{a0}000",
+        "2\u{a0}000 · -1\u{a0}000",
+        "+12 µs ± 41 µs",
+        "-61 dBm",
+        "0.0 s",
+    ] {
+        assert!(shows(&harness, words), "{words}");
+    }
+    harness.state_mut().view.fleet.filter = "cell-b-2".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "✖ 204 planner too late"));
+    harness.state_mut().view.fleet.filter = "spare".to_owned();
+    harness.run_steps(2);
+    assert!(shows(&harness, "unknown"), "no clock");
+    assert!(shows(&harness, "–"), "no RSSI");
+}
+
+#[test]
+fn several_nodes_are_selected_without_a_mouse() {
+    let mut harness = show(fleet());
+    click(&mut harness, Role::CheckBox, "Select cell-a-1");
+    click(&mut harness, Role::CheckBox, "Select spare");
+    let both = BTreeSet::from([node("cell-a-1"), node("spare")]);
+    assert_eq!(harness.state().view.selection, both);
+    assert_eq!(harness.state().view.focus, None, "no page opens");
+    let tick = harness.get_by_role_and_label(Role::CheckBox, "Select spare");
+    tick.focus();
+    harness.run_steps(2);
+    harness.key_press(Key::Space);
+    harness.run_steps(2);
+    let one = BTreeSet::from([node("cell-a-1")]);
+    assert_eq!(harness.state().view.selection, one);
+}
+
+#[test]
+fn every_panel_has_a_key() {
+    let mut harness = show(fleet());
+    for (key, tab) in [
+        (Key::N, Tab::Compose),
+        (Key::G, Tab::GroupJob),
+        (Key::M, Tab::Alarms),
+        (Key::T, Tab::Timeline),
+        (Key::L, Tab::Log),
+        (Key::P, Tab::Pulses),
+        (Key::R, Tab::Recording),
+        (Key::J, Tab::Jobs),
+    ] {
+        harness.key_press_modifiers(Modifiers::COMMAND, key);
+        harness.run_steps(2);
+        assert_eq!(harness.state().view.tab, tab);
     }
 }
 
 #[test]
-fn stop_all_is_one_click_and_one_key_also_while_typing() {
+fn what_is_looked_at_is_remembered_and_what_is_asked_about_is_not() {
+    let mut dashboard = fleet();
+    let view = &mut dashboard.view;
+    view.tab = Tab::GroupJob;
+    view.focus = Some(node("spare"));
+    view.fleet.filter = "cell".to_owned();
+    view.fleet.sort = dashboard::panels::fleet::Column::Clock;
+    view.composer.target = "cell-a-$*".to_owned();
+    view.alarms.sound = true;
+    view.node.speed_percent = 70;
+    view.stop.releasing = Some(Scope::All);
+    view.selection.insert(node("spare"));
+    let kept = serde_json::to_string(view).expect("text");
+    let mut back: dashboard::view::View = serde_json::from_str(&kept).expect("a view");
+    assert_eq!((back.tab, back.focus), (Tab::GroupJob, Some(node("spare"))));
+    assert_eq!(back.fleet.filter, "cell");
+    assert_eq!(back.fleet.sort, dashboard::panels::fleet::Column::Clock);
+    assert_eq!(back.composer.target, "cell-a-$*");
+    assert!(back.alarms.sound && back.node.speed_percent == 70);
+    assert_eq!(back.fleet.saved, ["cell-a-$*", "cell-b-$*"]);
+    // What stops or releases is chosen anew each time.
+    assert_eq!(back.stop.releasing, None);
+    assert!(back.selection.is_empty());
+    // Settings of an older program lack what is new.
+    back = serde_json::from_str("{\"tab\":\"Log\"}").expect("a view");
+    assert_eq!((back.tab, back.node.speed_percent), (Tab::Log, 100));
+}
+
+#[test]
+fn the_top_bar_counts_faults_and_marks_a_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
     let mut harness = show(fleet());
-    button(&mut harness, "STOP ALL");
-    assert_eq!(asked(&mut harness), [stop_all()]);
-    harness.key_press(Key::F1);
+    assert!(shows(&harness, "✖ 1 fault"));
+    assert!(!shows(&harness, "⏺ recording"));
+    let dashboard = harness.state_mut();
+    dashboard.session.part_bytes_max = 200_000;
+    let file = folder.path().join("day.jsonl").display().to_string();
+    dashboard.session.record(&file, &dashboard.model);
+    std::fs::write(folder.path().join("day-2.jsonl"), "mine").expect("written");
     harness.run_steps(2);
-    assert_eq!(asked(&mut harness), [stop_all()]);
-    harness
-        .get_by_role_and_label(Role::TextInput, "Filter nodes")
-        .focus();
+    button(&mut harness, "⏺ recording");
+    assert_eq!(harness.state().view.tab, Tab::Recording);
+    // The next file cannot be made.
+    for number in 0..100 {
+        let (node, text) = (node("spare"), "x".repeat(5_000) + &number.to_string());
+        let at = at_ms(1_000 + 10 * number);
+        harness.state_mut().hear(at, Message::Log { node, text });
+    }
     harness.run_steps(2);
-    harness.key_press_modifiers(Modifiers::CTRL, Key::Space);
+    harness.state_mut().view.tab = Tab::Jobs;
     harness.run_steps(2);
-    assert_eq!(asked(&mut harness), [stop_all()]);
+    assert!(shows(&harness, "✖ NOT RECORDED"));
 }
 
 #[test]
@@ -64,91 +157,6 @@ fn typing_asks_for_nothing() {
     assert_eq!(asked(&mut harness), []);
     assert!(!harness.state().view.help_open);
     assert!(harness.state().view.fleet.filter.contains("?/ sstop"));
-}
-
-#[test]
-fn the_effect_of_a_stop_names_who_is_missing_until_all_have_said_so_themselves() {
-    let mut harness = show(fleet());
-    button(&mut harness, "STOP ALL");
-    asked(&mut harness);
-    assert!(shows(&harness, "confirmed 0/6"), "one of seven is offline");
-    let stopped = || status(NodeState::Stopped, 2_000, [0, 0], 0);
-    for (ms, name) in [
-        (1_008, "cell-a-1"),
-        (1_009, "cell-a-2"),
-        (1_012, "cell-b-1"),
-    ] {
-        tell_status(harness.state_mut(), at_ms(ms), name, stopped());
-    }
-    // A status that says otherwise confirms nothing.
-    let running = status(NodeState::Running, 2_000, [0, 0], 100);
-    tell_status(harness.state_mut(), at_ms(1_013), "cell-a-3", running);
-    harness.run_steps(2);
-    assert!(shows(&harness, "confirmed 3/6"));
-    assert!(shows(&harness, "missing: cell-a-3, cell-b-2, spare"));
-    assert!(shows(&harness, "Software stop of all nodes"));
-    for name in ["cell-a-3", "cell-b-2", "spare"] {
-        tell_status(harness.state_mut(), at_ms(1_020), name, stopped());
-    }
-    harness.run_steps(2);
-    assert!(shows(&harness, "confirmed 6/6"));
-    assert!(shows(&harness, "in 20.0 ms"));
-    assert!(!shows(&harness, "missing:"));
-    button(&mut harness, "Dismiss");
-    assert!(!shows(&harness, "confirmed 6/6"));
-}
-
-#[test]
-fn a_stop_that_was_not_sent_says_so() {
-    let mut harness = show(fleet());
-    button(&mut harness, "STOP ALL");
-    let now = at_ms(1_000);
-    let asked = harness.state_mut().take_requests(now);
-    let answer = Answer::Failed("NOT SENT: there is no link".to_owned());
-    let ticket = asked[0].0;
-    tell(harness.state_mut(), now, Message::Answer { ticket, answer });
-    harness.run_steps(2);
-    assert!(shows(&harness, "NOT SENT"));
-    assert!(!shows(&harness, "confirmed"));
-}
-
-#[test]
-fn a_release_takes_two_steps_and_means_those_that_were_shown() {
-    let mut harness = show(fleet());
-    button(&mut harness, "Release…");
-    assert_eq!(asked(&mut harness), []);
-    button(&mut harness, "Keep stopped");
-    assert_eq!(asked(&mut harness), []);
-    button(&mut harness, "Release…");
-    button(&mut harness, "Release 1 node");
-    let scope = Scope::node(node("cell-b-1"));
-    assert_eq!(asked(&mut harness), [Request::Release { scope }]);
-    assert!(shows(&harness, "confirmed 0/1"));
-    let idle = status(NodeState::Idle, 2_000, [0, 0], 0);
-    tell_status(harness.state_mut(), at_ms(1_030), "cell-b-1", idle);
-    harness.run_steps(2);
-    assert!(shows(&harness, "confirmed 1/1"));
-}
-
-#[test]
-fn a_group_has_its_own_stop() {
-    let mut harness = show(fleet());
-    button(&mut harness, "Stop cell-a-$*");
-    let scope = Scope::Pattern("cell-a-$*".to_owned());
-    let mode = StopMode::Halt;
-    assert_eq!(asked(&mut harness), [Request::Stop { scope, mode }]);
-    assert!(shows(&harness, "confirmed 0/3"));
-}
-
-#[test]
-fn a_selection_is_stopped_with_deceleration() {
-    let mut harness = show(fleet());
-    harness.state_mut().view.selection = BTreeSet::from([node("cell-a-1"), node("spare")]);
-    harness.run_steps(2);
-    button(&mut harness, "Slow stop");
-    let scope = Scope::Nodes(BTreeSet::from([node("cell-a-1"), node("spare")]));
-    let mode = StopMode::Decelerate;
-    assert_eq!(asked(&mut harness), [Request::Stop { scope, mode }]);
 }
 
 #[test]
@@ -195,8 +203,8 @@ fn nodes_that_need_somebody_come_first_and_columns_sort() {
     assert_eq!(order(&harness)[0], "cell-a-1");
     button(&mut harness, "Sort by Node");
     assert_eq!(order(&harness)[0], "spare");
-    button(&mut harness, "Sort by Speed /s");
-    button(&mut harness, "Sort by Speed /s");
+    button(&mut harness, "Sort by Speed (steps/s)");
+    button(&mut harness, "Sort by Speed (steps/s)");
     assert_eq!(order(&harness)[0], "cell-a-1");
 }
 
@@ -264,10 +272,9 @@ fn a_job_is_checked_sent_and_followed() {
     assert_eq!(harness.state().view.tab, Tab::Jobs);
     button(&mut harness, "Run again…");
     assert_eq!(harness.state().view.tab, Tab::Compose);
-    assert!(
-        !harness.state().view.composer.text.contains("id"),
-        "a new job"
-    );
+    let composer = &harness.state().view.composer;
+    assert!(!composer.text.contains("id"), "a new job");
+    assert_eq!(composer.target, "cell-a-1", "for the node that had it");
 }
 
 #[test]
@@ -279,6 +286,69 @@ fn a_job_is_canceled_in_two_steps() {
     button(&mut harness, "Really cancel");
     let job = job("engrave-7");
     assert_eq!(asked(&mut harness), [Request::Cancel { job }]);
+    assert!(shows(&harness, "⌛ cancel asked for"));
+}
+
+#[test]
+fn what_became_of_a_cancel_stands_at_its_job() {
+    let job = job("engrave-7");
+    let refused = vec![JobError::new(ErrorCode::NotAllowed, "not yours")];
+    for (answer, words) in [
+        (
+            Answer::Failed("no gateway answers".to_owned()),
+            "✖ NOT CANCELED: no gateway answers",
+        ),
+        (
+            Answer::Done { count: 0, refused },
+            "✖ NOT CANCELED: not_allowed: not yours",
+        ),
+        (
+            Answer::Done {
+                count: 1,
+                refused: Vec::new(),
+            },
+            "⏹ cancel taken: it ends when its nodes are at rest",
+        ),
+    ] {
+        let mut harness = show(fleet());
+        let now = at_ms(1_000);
+        let state = harness.state_mut();
+        let ticket = state.requests.push(Request::Cancel { job });
+        state.take_requests(now);
+        tell(state, now, Message::Answer { ticket, answer });
+        harness.run_steps(2);
+        assert!(shows(&harness, words), "in the list: {words}");
+        button(&mut harness, "engrave-7");
+        let count = harness.query_all_by_label_contains(words).count();
+        assert_eq!(count, 2, "and in the detail: {words}");
+    }
+}
+
+#[test]
+fn a_jobs_id_and_the_log_are_copied() {
+    let copied = |harness: &Harness<'_, Dashboard>| {
+        let mut commands = harness.output().platform_output.commands.iter();
+        commands.find_map(|command| match command {
+            egui::OutputCommand::CopyText(text) => Some(text.clone()),
+            _ => None,
+        })
+    };
+    let mut harness = show(fleet());
+    button(&mut harness, "engrave-7");
+    harness
+        .get_by_role_and_label(Role::Button, "Copy id")
+        .click();
+    harness.run_steps(1);
+    assert_eq!(copied(&harness).as_deref(), Some("engrave-7"));
+    harness.state_mut().view.tab = Tab::Log;
+    harness.state_mut().view.log.filter = "layer".to_owned();
+    harness.run_steps(2);
+    harness
+        .get_by_role_and_label(Role::Button, "Copy log")
+        .click();
+    harness.run_steps(1);
+    let expected = "2026-11-21 03:00:01.000 cell-a-1 layer 3 of 12\n";
+    assert_eq!(copied(&harness).as_deref(), Some(expected));
 }
 
 #[test]
@@ -355,21 +425,6 @@ fn the_log_shows_its_newest_lines() {
 #[test]
 fn picture_of_the_fleet_and_the_jobs() {
     picture_of("fleet", fleet);
-}
-
-#[test]
-fn picture_of_a_stop_that_somebody_misses() {
-    picture_of("stop", || {
-        let mut dashboard = fleet();
-        dashboard.requests.push(stop_all());
-        dashboard.take_requests(at_ms(1_000));
-        for name in ["cell-a-1", "cell-a-2", "cell-b-1"] {
-            let stopped = status(NodeState::Stopped, 2_000, [2_000, -678], 0);
-            tell_status(&mut dashboard, at_ms(1_009), name, stopped);
-        }
-        dashboard.view.stop.releasing = Some(Scope::All);
-        dashboard
-    });
 }
 
 #[test]

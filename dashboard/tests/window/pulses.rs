@@ -100,7 +100,7 @@ fn the_pointer_measures_interval_speed_and_acceleration() {
     point_at(&mut window, Role::Image, "Timeline of the pins");
     assert!(window.state().view.pulses.cursor_ps.is_some());
     assert!(shows(&window, "axis 0: 1"));
-    assert!(shows(&window, " /s²"));
+    assert!(shows(&window, " steps/s²"));
     assert!(shows(&window, "interval "));
 }
 
@@ -110,9 +110,9 @@ fn violations_are_listed_and_follow_the_limits() {
     assert!(shows(&window, "✖ 2 violations of the rules"));
     assert!(shows(
         &window,
-        "axis 1: step high too short, 500.0 of 1900 ns"
+        "axis 1: 500.0 of 1900 ns, step high too short"
     ));
-    let setup = "axis 1: direction changed too shortly before a step, 100.0 of 650 ns";
+    let setup = "axis 1: 100.0 of 650 ns, direction changed too shortly before a step";
     assert!(shows(&window, setup));
     window.state_mut().view.pulses.limits.setup_min_ns = 90;
     window.run_steps(2);

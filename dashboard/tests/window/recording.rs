@@ -110,6 +110,25 @@ fn a_recording_is_shown_as_the_past_and_moves_by_the_slider() {
 }
 
 #[test]
+fn a_replay_that_stands_still_draws_only_for_the_live_fleet() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("day.jsonl");
+    record(&file);
+    let mut window = show(replaying(&file));
+    settle(&mut window);
+    let delay = |window: &Window| {
+        let root = egui::ViewportId::ROOT;
+        window.output().viewport_output[&root].repaint_delay
+    };
+    // What was opened just now may still settle.
+    window.run_steps(20);
+    assert!(delay(&window) > dashboard::app::FRAME_EVERY);
+    button(&mut window, "Play replay");
+    window.run_steps(20);
+    assert!(delay(&window) <= dashboard::app::FRAME_EVERY);
+}
+
+#[test]
 fn nothing_but_stop_all_leaves_while_the_past_is_shown() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("day.jsonl");
@@ -174,6 +193,24 @@ fn a_file_that_is_no_recording_says_why() {
     assert!(shows(&window, "none.jsonl: this is no recording"));
     click(&mut window, Role::Button, "Jobs");
     assert!(!shows(&window, "REPLAY:"));
+}
+
+#[test]
+fn picture_of_a_running_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    picture("recording", |theme| {
+        let mut dashboard = fleet();
+        let file = folder.path().join(format!("{theme:?}.jsonl"));
+        dashboard.view.recording.record_path = "monday.jsonl".to_owned();
+        let file = file.display().to_string();
+        dashboard.session.record(&file, &dashboard.model);
+        let recorder = dashboard.session.recorder().expect("it runs");
+        while recorder.written_bytes() < recorder.taken_bytes() {
+            std::thread::yield_now();
+        }
+        dashboard.view.tab = Tab::Recording;
+        show_in(dashboard, theme, crate::screen::PICTURE_SIZE)
+    });
 }
 
 #[test]

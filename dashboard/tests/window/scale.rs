@@ -65,7 +65,14 @@ fn all_that_can_be_clicked_has_a_name() {
 
 /// Titles of the tables' columns, which are scrolled when there is no room for all of them.
 const TITLES: [&str; 8] = [
-    "State", "Job", "Queue", "Position", "Speed /s", "For", "Outcome", "What",
+    "State",
+    "Job",
+    "Queue",
+    "Position (steps)",
+    "Speed (steps/s)",
+    "For",
+    "Outcome",
+    "What",
 ];
 
 /// Returns the texts that are cut off at their left or right and not by dots that say so.

@@ -41,6 +41,7 @@ pub(crate) fn show_at(
                 let (all, fill) = (ui.ctx().content_rect(), ui.visuals().panel_fill);
                 let painter = ui.ctx().layer_painter(background);
                 painter.rect_filled(all, 0.0, fill);
+                dashboard.logic(ui.ctx());
                 dashboard.ui(ui);
             },
             dashboard,

@@ -295,16 +295,19 @@ impl Fleet {
                         let group = self.groups.get(id);
                         let start = group.and_then(|group| group.start.as_ref());
                         let named = start.and_then(|start| start.named(number));
-                        self.book.edit_whole(
-                            id,
-                            |job| {
-                                if let Some(group) = &mut job.entry.group {
-                                    group.planned.insert(number, at);
-                                    group.named.extend(named.map(|named| (number, named)));
-                                }
-                            },
-                            effects,
-                        );
+                        let note = |job: &mut Job| {
+                            if let Some(group) = &mut job.entry.group {
+                                group.planned.insert(number, at);
+                                group.named.extend(named.map(|named| (number, named)));
+                            }
+                        };
+                        if number == 0 {
+                            // Clients count down to it.
+                            self.book.prepare_whole(id, note);
+                            self.book.gather(id, self.now, effects);
+                        } else {
+                            self.book.edit_whole(id, note, effects);
+                        }
                     }
                     Step::Met => self.book.edit_whole(
                         id,

@@ -7,9 +7,10 @@ use dashboard::{
     link::{Clock, Link, LinkConfig, Place},
     message::Answer,
     model::Model,
+    panels::{composer, group_job},
     request::{Language, Request, Target, Ticket},
 };
-use keys::{Keys, credentials::Credentials};
+use keys::{Keys, NodeId, credentials::Credentials};
 use std::{
     sync::mpsc,
     time::{Duration, Instant},
@@ -79,14 +80,49 @@ impl Operator {
     /// Asks for something.
     pub(crate) fn ask(&mut self, request: Request) -> Ticket {
         let ticket = self.dashboard.requests.push(request);
-        for (ticket, request) in self.dashboard.take_requests(self.link.now()) {
-            self.link.ask(ticket, request);
-        }
+        self.hand_over();
         ticket
     }
 
-    /// Sends a job to a node or a wild chunk.
+    fn hand_over(&mut self) {
+        for (ticket, request) in self.dashboard.take_requests(self.link.now()) {
+            self.link.ask(ticket, request);
+        }
+    }
+
+    /// Types a job for a node or a wild chunk into the composer and sends it, as its button does.
     pub(crate) fn submit(&mut self, target: &str, text: &str) -> Ticket {
+        let Dashboard {
+            model,
+            view,
+            requests,
+            ..
+        } = &mut self.dashboard;
+        let composer = &mut view.composer;
+        (composer.target, composer.text) = (target.to_owned(), text.to_owned());
+        composer.language = Language::Json;
+        let ticket = composer::send(model, view, requests).expect("the button can be clicked");
+        self.hand_over();
+        ticket
+    }
+
+    /// Types the parts of a synchronized job into its editor and starts it.
+    pub(crate) fn start_together(&mut self, group: &str, parts: &[(NodeId, String)]) -> Ticket {
+        let Dashboard {
+            model,
+            view,
+            requests,
+            ..
+        } = &mut self.dashboard;
+        view.group_job.group = group.to_owned();
+        view.group_job.parts = parts.iter().cloned().collect();
+        let ticket = group_job::send(model, view, requests).expect("the button can be clicked");
+        self.hand_over();
+        ticket
+    }
+
+    /// Sends what no editor lets out.
+    pub(crate) fn submit_unchecked(&mut self, target: &str, text: &str) -> Ticket {
         self.ask(Request::Submit {
             target: Target::Node(target.to_owned()),
             language: Language::Json,
