@@ -1,6 +1,10 @@
 //! The serial line: the dialogue with `fleet provision`, and a prompt for whoever looks.
 
-use crate::{flash::CoreFlash, plan::in_window};
+use crate::{
+    flash::CoreFlash,
+    link::BoardKeeper,
+    plan::{in_window, now},
+};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
@@ -10,6 +14,18 @@ use update::Region;
 
 /// The region of the flash that the record lies in.
 pub(crate) type RecordFlash = Region<CoreFlash>;
+
+/// Lets a firmware on trial be left where there is no session with a router that would: nothing moves.
+pub(crate) async fn keep_trial(keeper: &mut Option<BoardKeeper>) -> ! {
+    loop {
+        if let Some(keeper) = keeper.as_mut()
+            && keeper.poll(now().0, false)
+        {
+            software_reset();
+        }
+        Timer::after(Duration::from_millis(100)).await;
+    }
+}
 
 /// Talks for ever. `prompts`: nobody has told this node anything yet.
 pub(crate) async fn run(
