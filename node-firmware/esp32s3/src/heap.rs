@@ -15,15 +15,14 @@ use esp_alloc::HEAP;
 use esp_alloc::{EspHeap, HeapRegion, MemoryCapability};
 
 /// What counts as large, bytes.
-#[cfg(feature = "psram")]
-pub(crate) const LARGE_BYTES: usize = 512;
+const LARGE_BYTES: usize = 512;
 
 // Nothing that TLS shares is large.
 #[cfg(all(feature = "psram", feature = "tls"))]
 const _: () = assert!(tls::link::SHARED_BYTES_MAX < LARGE_BYTES);
 
-/// What texts of scripts must leave, bytes: a link with TLS, full batches, and the radio's bursts.
-const RESERVE_BYTES: usize = 24 * 1024;
+/// What texts of scripts must leave in their heap, bytes: room for a link with TLS and what comes with it.
+const RESERVE_BYTES: usize = 12 * 1024;
 
 #[cfg(feature = "psram")]
 static EXTERNAL: EspHeap = EspHeap::empty();
@@ -125,11 +124,9 @@ pub(crate) fn external_free_bytes() -> Option<usize> {
     None
 }
 
-/// Returns whether texts of so many bytes fit beside all else. Small ones are in internal RAM.
-pub(crate) fn has_room(bytes: usize) -> bool {
-    let internal = internal_free_bytes();
-    let free = external_free_bytes()
-        .unwrap_or(internal)
-        .min(usize::MAX / 2);
-    internal >= RESERVE_BYTES && free >= bytes.saturating_add(RESERVE_BYTES)
+/// Returns whether `count` texts of so many bytes each fit beside all else.
+pub(crate) fn has_room(count: usize, bytes: usize) -> bool {
+    let external = external_free_bytes().filter(|_| bytes >= LARGE_BYTES);
+    let free = external.unwrap_or_else(internal_free_bytes);
+    free >= count.saturating_mul(bytes).saturating_add(RESERVE_BYTES)
 }

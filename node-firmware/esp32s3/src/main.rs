@@ -144,6 +144,14 @@ fn input_pins(config: &MotionConfig) -> Option<Vec<u8, INPUTS_MAX>> {
     pins.collect()
 }
 
+/// Returns the pin of each input of a record's machine; `None`: nothing moves.
+#[inline(never)]
+fn machine_pins(record: &Record, boot: u32) -> Option<Vec<u8, INPUTS_MAX>> {
+    let complete = record.is_complete();
+    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
+    pins.flatten()
+}
+
 fn keys_of(record: &Record) -> Keys {
     // A prefix that is none was refused when it was set.
     Keys::new(&record.prefix).unwrap_or_default()
@@ -166,6 +174,26 @@ fn made_node(
         outputs,
         config,
     ))
+}
+
+/// Makes the dialogue where it stays: it has two records, and is too large to be handed on.
+#[inline(never)]
+fn made_dialogue(flash: CoreFlash) -> &'static mut Dialogue<RecordFlash> {
+    let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
+        .expect("the partition has two erase units");
+    keep!(Dialogue<RecordFlash>, Dialogue::blank(store, FIRMWARE))
+}
+
+/// Copies what it has read to where it stays: the dialogue may change its own.
+#[inline(never)]
+fn kept_record(dialogue: &Dialogue<RecordFlash>) -> &'static Record {
+    keep!(Record, dialogue.record().clone())
+}
+
+/// Makes the sockets' memory where it stays.
+#[inline(never)]
+fn kept_resources() -> &'static mut StackResources<6> {
+    keep!(StackResources<6>, StackResources::new())
 }
 
 #[embassy_executor::task]
@@ -193,7 +221,7 @@ fn rest() -> ! {
 /// The node without a network: only the serial line, and the way back of a firmware on trial.
 async fn talk_only(
     port: UsbSerialJtag<'static, Async>,
-    dialogue: Dialogue<RecordFlash>,
+    dialogue: &'static mut Dialogue<RecordFlash>,
     prompts: bool,
     mut keeper: Option<BoardKeeper>,
 ) -> ! {
@@ -210,7 +238,7 @@ async fn main(spawner: Spawner) -> ! {
     let mut parts = esp_hal::init(config);
     // The HAL has switched the boot loader's off.
     watchdog::watch_boot(parts.RTC_TIMER.reborrow());
-    panic::pins_off();
+    outputs::hold_low();
     // Whatever fails behind this has been tried once, and a firmware that was tried before without success
     // is left before it can fail again. So nothing comes first that a firmware may break.
     let storage = FlashStorage::new(parts.FLASH);
@@ -243,17 +271,14 @@ async fn main(spawner: Spawner) -> ! {
     esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
     spawner.spawn(watchdog::watch(parts.RTC_TIMER).expect("spawned once"));
 
-    let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
-        .expect("the partition has two erase units");
-    let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
-    let record = keep!(Record, dialogue.record().clone());
+    let dialogue = made_dialogue(flash);
+    dialogue.read().expect("the flash we run from is readable");
+    let record = kept_record(dialogue);
     if let Some(keeper) = keeper.as_mut() {
         keeper.trust(record.update_key);
     }
     let boot = random_u64() as u32;
-    let complete = record.is_complete();
-    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
-    let pins = pins.flatten();
+    let pins = machine_pins(record, boot);
     // A machine that cannot be is like one that nobody has told: nothing moves.
     let provisioned = pins.is_some();
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
@@ -267,8 +292,6 @@ async fn main(spawner: Spawner) -> ! {
     let shelf = scripts::Shelf::open(flash);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
-    // Made again: it is large, and what lives across a wait lies in internal RAM for ever.
-    let mut config = node_config(record, boot);
     let has_cd = record.machine.has_cd;
     let outputs = BoardOutputs::new(
         #[cfg(feature = "timers")]
@@ -307,6 +330,8 @@ async fn main(spawner: Spawner) -> ! {
         #[cfg(feature = "counters")]
         core::mem::forget(counters);
         let (inputs, levels) = InputPins::new(mux_parts, &input_pins);
+        // Made again, on this core's stack: it is large, and the other one's is short.
+        let mut config = node_config(record, boot);
         config.motion.input_levels = levels;
         let planning = Planning {
             node: made_node(ring, backend, outputs, config),
@@ -350,7 +375,7 @@ async fn main(spawner: Spawner) -> ! {
     let (stack, runner) = embassy_net::new(
         Interface::station(),
         wifi::address_config(record),
-        keep!(StackResources<6>, StackResources::new()),
+        kept_resources(),
         random_u64(),
     );
     spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));

@@ -53,7 +53,7 @@ impl Words for RtcRam {
 /// Switches drivers and laser off, and all steps: their pins are taken away from whatever drives them,
 /// so that it does not matter what a timer does.
 #[ram]
-pub(crate) fn pins_off() {
+fn pins_off() {
     for pin in [LASER_PIN, ENABLE_PIN, STEP_PIN_C, STEP_PIN_D] {
         take_pin(pin);
     }

@@ -54,7 +54,7 @@ impl<S: ScriptStore> ScriptStore for Bounded<'_, S> {
     fn load(&mut self, take: &mut dyn FnMut(&str, &[u8])) -> Result<(), SaveError> {
         self.0.load(&mut |name, text| {
             // Here, on its way, and there.
-            if has_room(3 * text.len()) {
+            if has_room(3, text.len()) {
                 take(name, text);
             } else {
                 LEFT_OUT.fetch_add(1, Ordering::Relaxed);
@@ -97,7 +97,7 @@ impl Shelf {
     /// Gives a change to the node.
     pub(crate) fn put(&self, name: &str, text: Option<&[u8]>) {
         // On its way, there, on its way back, and here.
-        if !text.is_none_or(|text| has_room(4 * text.len())) {
+        if !text.is_none_or(|text| has_room(4, text.len())) {
             return;
         }
         let change = (String::from(name), text.map(Vec::from));

@@ -15,11 +15,12 @@ use update::Region;
 /// The region of the flash that the record lies in.
 pub(crate) type RecordFlash = Region<CoreFlash>;
 
-/// Lets a firmware on trial be left where there is no session with a router that would: nothing moves.
+/// Lets a firmware on trial be left where there is no session with a router that would.
 pub(crate) async fn keep_trial(keeper: &mut Option<BoardKeeper>) -> ! {
     loop {
-        if let Some(keeper) = keeper.as_mut()
-            && keeper.poll(now().0, false)
+        let due = keeper.as_mut().filter(|keeper| keeper.is_due(now().0));
+        if let Some(keeper) = due
+            && in_window(|| keeper.poll(now().0, false)) == Some(true)
         {
             software_reset();
         }
@@ -30,7 +31,7 @@ pub(crate) async fn keep_trial(keeper: &mut Option<BoardKeeper>) -> ! {
 /// Talks for ever. `prompts`: nobody has told this node anything yet.
 pub(crate) async fn run(
     mut port: UsbSerialJtag<'static, Async>,
-    mut dialogue: Dialogue<RecordFlash>,
+    dialogue: &'static mut Dialogue<RecordFlash>,
     prompts: bool,
 ) -> ! {
     let mut answer = [0; FRAME_BYTES_MAX + 2];

@@ -145,16 +145,30 @@ impl<F: NorFlash> Dialogue<F> {
     ///
     /// # Errors
     /// The flash cannot be read.
-    pub fn new(mut store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
-        let kept = store.read()?.unwrap_or_default();
-        Ok(Self {
+    pub fn new(store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
+        let mut dialogue = Self::blank(store, firmware);
+        dialogue.read()?;
+        Ok(dialogue)
+    }
+
+    /// Makes one that has not [read](Self::read) what is kept.
+    pub fn blank(store: Store<F>, firmware: [u8; 3]) -> Self {
+        Self {
             store,
             firmware,
-            kept,
+            kept: Record::default(),
             collected: None,
             reader: FrameReader::new(),
             restart: false,
-        })
+        }
+    }
+
+    /// Reads what is kept.
+    ///
+    /// # Errors
+    /// The flash cannot be read.
+    pub fn read(&mut self) -> Result<(), StoreError> {
+        self.store.read_into(&mut self.kept).map(|_| ())
     }
 
     /// Returns what is kept.
