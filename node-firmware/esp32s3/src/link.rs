@@ -263,7 +263,9 @@ impl Connect for Tcp {
     }
 }
 
-/// Runs the session for ever.
+/// Runs the session for ever. A task of its own: below a handshake of TLS there is no room on the stack
+/// for what `main` keeps there.
+#[embassy_executor::task]
 pub(crate) async fn run(
     stack: Stack<'static>,
     record: &'static Record,
@@ -275,7 +277,7 @@ pub(crate) async fn run(
     keeper: Option<BoardKeeper>,
     shelf: Shelf,
     gauges: Gauges,
-) -> ! {
+) {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
         password: login.password.to_string(),

@@ -398,7 +398,6 @@ async fn main(spawner: Spawner) -> ! {
         shelf,
         gauges,
     );
-    match select(link, serial::run(port, dialogue, false)).await {
-        Either::First(never) | Either::Second(never) => never,
-    }
+    spawner.spawn(link.expect("spawned once"));
+    serial::run(port, dialogue, false).await
 }
