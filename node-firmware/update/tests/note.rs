@@ -310,3 +310,31 @@ fn a_power_cut_at_any_byte_leaves_a_board_that_boots_and_can_be_updated() {
         }
     }
 }
+
+#[test]
+fn a_note_that_the_flash_has_not_taken_is_written_when_it_is_told_again() {
+    let flash = Shared::new();
+    let mut keeper = boot(&flash, BootLoader::Plain).expect("has power");
+    let begin = begin();
+    keeper.handle(&begin, false, 0);
+    let chunk = UpdateMessage::Chunk {
+        at: 0,
+        bytes: &IMAGE,
+    };
+    keeper.handle(&chunk, false, 0);
+    // Enough for the journal: a unit erased and an entry. Not for the note.
+    flash.power(64 + 16 + 40);
+    let refused = UpdateReply::Refused(UpdateRefusal::Flash);
+    assert_eq!(
+        keeper.handle(&UpdateMessage::Finish, false, 0),
+        refused,
+        "the flash fails once"
+    );
+    flash.power(usize::MAX);
+    assert_eq!(
+        keeper.handle(&UpdateMessage::Finish, false, 0),
+        UpdateReply::Ready
+    );
+    let keeper = boot(&flash, BootLoader::Plain).expect("has power");
+    assert_eq!((keeper.running(), keeper.is_on_trial()), (1, true));
+}
