@@ -409,3 +409,34 @@ D way       80:5@2.5
     let (record, _) = board.end();
     assert_eq!(record.tuning, provision::Tuning::default());
 }
+
+#[test]
+fn the_driver_of_an_axis_is_told_by_name_or_number_and_shown_as_it_was_given() {
+    let board = Board::new(false);
+    let (code, out, err) = board.fleet(&["--name", "left", "--wifi", "shop"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(!out.contains("driver"), "{out}");
+    let told = [
+        "--driver",
+        "0=tmc2209",
+        "--driver",
+        "1=drv8825,setup=1000,inverted",
+    ];
+    let (code, out, err) = board.fleet(&told);
+    assert_eq!(code, Some(0), "{err}");
+    let lines = "driver      0=tmc2209\ndriver      1=drv8825,setup=1000,inverted\n";
+    assert!(out.ends_with(lines), "{out}");
+    let (code, _, err) = board.fleet(&["--driver", "0=tmc2209,setup=200001"]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("Driver: a step's parts"), "{err}");
+    let (code, _, err) = board.fleet(&["--driver", "0=tmc9999"]);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("AXIS=DRIVER"), "{err}");
+    let (_, out, _) = board.fleet(&[]);
+    assert!(out.ends_with(lines), "nothing was changed: {out}");
+    let (record, _) = board.end();
+    let axes = provision::kit::motion_of(&record, 2).axes;
+    assert_eq!((axes[0].high_ns_min, axes[0].dir_hold_ns), (100, 20));
+    assert_eq!((axes[1].dir_setup_ns, axes[1].dir_hold_ns), (1_000, 650));
+    assert!(!axes[0].direction_inverted && axes[1].direction_inverted);
+}

@@ -88,6 +88,10 @@ impl FaultCode {
     pub const START_LATE: Self = Self(209);
     /// The program panicked; outputs were switched off.
     pub const PANIC: Self = Self(301);
+    /// The processor was reset by a watchdog, by too low a supply, or by itself.
+    pub const RESET: Self = Self(302);
+    /// Stored scripts do not fit in the memory: some of them were not loaded.
+    pub const SCRIPTS: Self = Self(303);
     /// Another controller speaks under the same name.
     pub const TWIN: Self = Self(401);
     /// The node obeys another gateway.
@@ -107,6 +111,8 @@ impl FaultCode {
             Self::NOT_THERE => "C or D did not arrive",
             Self::SHIFT_REGISTER => "shift register does not follow",
             Self::PANIC => "firmware panic",
+            Self::RESET => "the controller was reset, the log says by what",
+            Self::SCRIPTS => "stored scripts do not fit in memory",
             Self::TWIN => {
                 "another controller speaks under this name; it gets no jobs until only one does"
             }

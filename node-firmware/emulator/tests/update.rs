@@ -225,7 +225,7 @@ fn a_power_cut_at_any_step_leaves_a_board_that_boots_and_can_be_updated() {
     assert_eq!(whole.runs(), (NEW, 1, false));
     let steps = whole.flash.worked_steps() - begun;
     // Words of the image are all alike; what comes before and behind it is cut at every step.
-    let image_steps = steps.saturating_sub(220);
+    let image_steps = steps.saturating_sub(300);
     let cuts = (0..image_steps).step_by(149).chain(image_steps..steps);
     let mut outcomes = [0; 2];
     for cut in cuts {

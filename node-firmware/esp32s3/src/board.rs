@@ -25,14 +25,15 @@ pub(crate) const DIRECTION_PINS: [u8; AXES] = [5, 7];
 /// Enable output, high: the drivers are on. Hardware gates it with the stop button.
 pub(crate) const ENABLE_PIN: u8 = 15;
 
-/// Laser output, high: on.
-pub(crate) const LASER_PIN: u8 = 18;
+/// Laser output, high: on. Not GPIO 18, 19 or 20, which are driven high for some 60 µs as the chip is
+/// switched on (data sheet of the ESP32-S3, *power-up glitches on pins*; this one is driven low).
+pub(crate) const LASER_PIN: u8 = 11;
 
 /// Stop input with its own pull-up; open, and so a broken wire, is a stop.
 pub(crate) const STOP_PIN: u8 = 10;
 
 /// A lamp that says how the node is.
-pub(crate) const LAMP_PIN: u8 = 11;
+pub(crate) const LAMP_PIN: u8 = 18;
 
 /// The input of each switch that there can be. `fleet provision --switch` says which there are; the
 /// others are not looked at.
@@ -109,7 +110,7 @@ const _: () = assert!(PLACES[0].words() >= CHANNEL_WORDS);
 
 /// Gives a pin of the table.
 pub(crate) fn pin(number: u8) -> AnyPin<'static> {
-    // SAFETY: main takes each pin of the table once, and nobody takes pins by another way. The one
-    // exception is the panic handler, which comes last.
+    // SAFETY: each pin of the table has one owner, and nobody takes pins by another way. The exceptions
+    // are what holds the outputs low before anybody owns them, and the panic handler, which comes last.
     unsafe { AnyPin::steal(number) }
 }

@@ -1,19 +1,25 @@
-//! The flash, which belongs to core 0, and the boot loader's note in it.
+//! The flash, which belongs to core 0.
 //!
 //! While flash is written the other core is stopped, wherever it is. So a write is made in a window
-//! ([`crate::plan::in_window`]): the planning task says that nothing moves, and waits.
+//! ([`crate::plan::in_window`]): the planning task says that nothing moves, and waits. A window may last
+//! for seconds, of which each step of an erasure or a write takes 0.4 s at most; after each both watchdogs
+//! are fed.
 
+use crate::watchdog::feed_both;
 use core::cell::RefCell;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use esp_bootloader_esp_idf::{
-    ota::OtaImageState,
-    ota_updater::OtaUpdater,
-    partitions::{
-        AppPartitionSubType, PARTITION_TABLE_MAX_LEN, PartitionType, read_partition_table,
-    },
+use esp_bootloader_esp_idf::partitions::{
+    AppPartitionSubType, PARTITION_TABLE_MAX_LEN, PartitionType, read_partition_table,
 };
 use esp_storage::{FlashStorage, FlashStorageError};
-use update::{Loader, TrialError};
+
+/// Bytes that are read or written at once, by way of the stack: what the ROM's functions are given lies
+/// in internal RAM, wherever the caller has it.
+const STEP_BYTES: usize = 256;
+
+/// Words of a step, aligned as the flash's registers want them.
+#[repr(align(4))]
+struct Step([u8; STEP_BYTES]);
 
 /// A handle to the flash.
 #[derive(Clone, Copy)]
@@ -33,7 +39,17 @@ impl ReadNorFlash for CoreFlash {
     const READ_SIZE: usize = FlashStorage::READ_SIZE;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashStorageError> {
-        ReadNorFlash::read(&mut *self.0.borrow_mut(), offset, bytes)
+        let mut flash = self.0.borrow_mut();
+        let mut step = Step([0; STEP_BYTES]);
+        for (at, piece) in (offset..)
+            .step_by(STEP_BYTES)
+            .zip(bytes.chunks_mut(STEP_BYTES))
+        {
+            let step = &mut step.0[..piece.len()];
+            ReadNorFlash::read(&mut *flash, at, step)?;
+            piece.copy_from_slice(step);
+        }
+        Ok(())
     }
 
     fn capacity(&self) -> usize {
@@ -46,62 +62,37 @@ impl NorFlash for CoreFlash {
     const ERASE_SIZE: usize = FlashStorage::ERASE_SIZE;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashStorageError> {
-        NorFlash::erase(&mut *self.0.borrow_mut(), from, to)
+        let mut flash = self.0.borrow_mut();
+        let mut at = from;
+        while at < to {
+            NorFlash::erase(&mut *flash, at, at + Self::ERASE_SIZE as u32)?;
+            feed_both();
+            at += Self::ERASE_SIZE as u32;
+        }
+        Ok(())
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashStorageError> {
-        NorFlash::write(&mut *self.0.borrow_mut(), offset, bytes)
+        let mut flash = self.0.borrow_mut();
+        let mut step = Step([0; STEP_BYTES]);
+        for (at, piece) in (offset..).step_by(STEP_BYTES).zip(bytes.chunks(STEP_BYTES)) {
+            let step = &mut step.0[..piece.len()];
+            step.copy_from_slice(piece);
+            NorFlash::write(&mut *flash, at, step)?;
+            feed_both();
+        }
+        Ok(())
     }
 }
 
-/// The boot loader of ESP-IDF.
-pub(crate) struct BootLoader(CoreFlash);
-
-impl BootLoader {
-    pub(crate) fn new(flash: CoreFlash) -> Self {
-        Self(flash)
-    }
-
-    fn note(
-        &self,
-        change: impl FnOnce(
-            &mut OtaUpdater<'_, '_>,
-        ) -> Result<(), esp_bootloader_esp_idf::partitions::Error>,
-    ) -> Result<(), TrialError> {
-        let mut flash = self.0.0.borrow_mut();
-        let mut buffer = [0; PARTITION_TABLE_MAX_LEN];
-        OtaUpdater::new(&mut flash, &mut buffer)
-            .and_then(|mut updater| change(&mut updater))
-            .map_err(|_| TrialError)
-    }
-}
-
-impl Loader for BootLoader {
-    fn running(&mut self) -> u8 {
-        let mut flash = self.0.0.borrow_mut();
-        let mut buffer = [0; PARTITION_TABLE_MAX_LEN];
-        let booted = read_partition_table(&mut flash, &mut buffer)
-            .and_then(|table| table.booted_partition())
-            .ok()
-            .flatten();
-        let second = PartitionType::App(AppPartitionSubType::Ota1);
-        u8::from(booted.is_some_and(|entry| entry.partition_type() == second))
-    }
-
-    fn select(&mut self, slot: u8) -> Result<(), TrialError> {
-        let slot = if slot == 0 {
-            AppPartitionSubType::Ota0
-        } else {
-            AppPartitionSubType::Ota1
-        };
-        self.note(|updater| {
-            updater.ota_data()?.set_current_app_partition(slot)?;
-            // A boot loader that watches first boots goes back by itself; the others take it as any.
-            updater.set_current_ota_state(OtaImageState::New)
-        })
-    }
-
-    fn confirm(&mut self) -> Result<(), TrialError> {
-        self.note(|updater| updater.set_current_ota_state(OtaImageState::Valid))
-    }
+/// Returns the slot that this program runs from, by where its code is mapped: 0 or 1.
+pub(crate) fn running_slot(flash: CoreFlash) -> u8 {
+    let mut flash = flash.0.borrow_mut();
+    let mut buffer = [0; PARTITION_TABLE_MAX_LEN];
+    let booted = read_partition_table(&mut flash, &mut buffer)
+        .and_then(|table| table.booted_partition())
+        .ok()
+        .flatten();
+    let second = PartitionType::App(AppPartitionSubType::Ota1);
+    u8::from(booted.is_some_and(|entry| entry.partition_type() == second))
 }

@@ -2,7 +2,7 @@
 //! messages between the session and two queues.
 
 use crate::{
-    flash::{BootLoader, CoreFlash},
+    flash::CoreFlash,
     plan::{LINK, OUTGOING, Parcel, STOP, WAKE, in_window, now},
     scripts::Shelf,
     secure::{Reader, Writer, secure},
@@ -35,7 +35,7 @@ use update::Keeper;
 const RETRY_US: u64 = 100_000;
 
 /// Bytes that TCP holds in each direction: two batches of the router's.
-const SOCKET_BYTES: usize = 16 * 1024;
+pub(crate) const SOCKET_BYTES: usize = 16 * 1024;
 
 /// Stands in for the node.
 struct Remote {
@@ -48,7 +48,7 @@ struct Remote {
 }
 
 /// What takes other firmware on a board.
-pub(crate) type BoardKeeper = Keeper<CoreFlash, BootLoader>;
+pub(crate) type BoardKeeper = Keeper<CoreFlash>;
 
 impl Host for Remote {
     fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
@@ -263,7 +263,9 @@ impl Connect for Tcp {
     }
 }
 
-/// Runs the session for ever.
+/// Runs the session for ever. A task of its own: below a handshake of TLS there is no room on the stack
+/// for what `main` keeps there.
+#[embassy_executor::task]
 pub(crate) async fn run(
     stack: Stack<'static>,
     record: &'static Record,
@@ -275,7 +277,7 @@ pub(crate) async fn run(
     keeper: Option<BoardKeeper>,
     shelf: Shelf,
     gauges: Gauges,
-) -> ! {
+) {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
         password: login.password.to_string(),

@@ -76,7 +76,7 @@ impl Mail for Board {
 pub(crate) async fn interpret() {
     let mut interpreter = Interpreter::new();
     #[cfg(feature = "psram")]
-    interpreter.set_heap(crate::psram::LUA_HEAP);
+    interpreter.set_heap(crate::heap::LUA_HEAP);
     loop {
         while let Ok(word) = WORDS.try_receive() {
             interpreter.handle(now(), word, &mut Board);

@@ -9,6 +9,7 @@
 //! On a chip with one core both run there; the refill interrupt comes before either.
 #![no_std]
 #![no_main]
+#![cfg_attr(target_arch = "xtensa", feature(asm_experimental_arch))]
 
 extern crate alloc;
 
@@ -16,6 +17,7 @@ mod board;
 #[cfg(feature = "timers")]
 mod cd;
 mod flash;
+mod heap;
 mod inputs;
 mod lamp;
 mod lidar;
@@ -40,22 +42,25 @@ mod watchdog;
 mod wifi;
 
 use crate::{
-    flash::{BootLoader, CoreFlash},
+    flash::CoreFlash,
     inputs::InputPins,
+    link::BoardKeeper,
     outputs::BoardOutputs,
     plan::{IN_MAX, OUT_MAX, Parcel, Planning},
     rmt::RmtBackend,
     serial::RecordFlash,
     shift::ShiftRegister,
     stop_pin::StopPin,
+    watchdog::PlanningWatchdog,
 };
 use core::{cell::RefCell, sync::atomic::AtomicU32};
 use embassy_executor::Spawner;
+use embassy_futures::select::{Either, select};
 use embassy_net::StackResources;
 #[cfg(feature = "counters")]
 use esp_hal::pcnt::Pcnt;
 use esp_hal::{
-    clock::CpuClock, interrupt::Priority, rng::Rng, system::software_reset,
+    Async, clock::CpuClock, interrupt::Priority, rng::Rng, system::software_reset,
     timer::timg::TimerGroup, usb::usb_serial_jtag::UsbSerialJtag,
 };
 use esp_rtos::embassy::InterruptExecutor;
@@ -74,9 +79,8 @@ esp_bootloader_esp_idf::esp_app_desc!();
 /// Version of the firmware, told in the first line of the node's log.
 const FIRMWARE: [u8; 3] = [0, 1, 0];
 
-/// Heap in internal RAM: WiFi's buffers must lie there. TCP and zenoh prefer PSRAM. On the ESP32-S3 it
-/// is what the boot loader leaves behind, which static data cannot have: 73,744 bytes.
-/// Without PSRAM the small ring lies in it, too.
+/// Heap in internal RAM, see `heap.rs`. On the ESP32-S3 it is what the boot loader leaves behind, which
+/// static data cannot have: 73,744 bytes. Without PSRAM everything lies in it, the small ring, too.
 const HEAP_BYTES: usize = 72 * 1024;
 
 /// Stack of the second core: the deepest way through the planner, a job that changes while it moves, takes
@@ -140,6 +144,14 @@ fn input_pins(config: &MotionConfig) -> Option<Vec<u8, INPUTS_MAX>> {
     pins.collect()
 }
 
+/// Returns the pin of each input of a record's machine; `None`: nothing moves.
+#[inline(never)]
+fn machine_pins(record: &Record, boot: u32) -> Option<Vec<u8, INPUTS_MAX>> {
+    let complete = record.is_complete();
+    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
+    pins.flatten()
+}
+
 fn keys_of(record: &Record) -> Keys {
     // A prefix that is none was refused when it was set.
     Keys::new(&record.prefix).unwrap_or_default()
@@ -164,71 +176,122 @@ fn made_node(
     ))
 }
 
+/// Makes the dialogue where it stays: it has two records, and is too large to be handed on.
+#[inline(never)]
+fn made_dialogue(flash: CoreFlash) -> &'static mut Dialogue<RecordFlash> {
+    let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
+        .expect("the partition has two erase units");
+    keep!(Dialogue<RecordFlash>, Dialogue::blank(store, FIRMWARE))
+}
+
+/// Copies what it has read to where it stays: the dialogue may change its own.
+#[inline(never)]
+fn kept_record(dialogue: &Dialogue<RecordFlash>) -> &'static Record {
+    keep!(Record, dialogue.record().clone())
+}
+
+/// Makes the sockets' memory where it stays.
+#[inline(never)]
+fn kept_resources() -> &'static mut StackResources<6> {
+    keep!(StackResources<6>, StackResources::new())
+}
+
 #[embassy_executor::task]
 async fn plan_task(planning: Planning) {
     planning.run().await;
+}
+
+/// Lets the second core serve its interrupts, and nothing else.
+#[cfg(feature = "dual")]
+fn rest() -> ! {
+    loop {
+        // SAFETY: waits for an interrupt, with all of them let in.
+        #[cfg(target_arch = "xtensa")]
+        unsafe {
+            core::arch::asm!("waiti 0", options(nomem, nostack));
+        }
+        // SAFETY: waits for an interrupt.
+        #[cfg(not(target_arch = "xtensa"))]
+        unsafe {
+            core::arch::asm!("wfi", options(nomem, nostack));
+        }
+    }
+}
+
+/// The node without a network: only the serial line, and the way back of a firmware on trial.
+async fn talk_only(
+    port: UsbSerialJtag<'static, Async>,
+    dialogue: &'static mut Dialogue<RecordFlash>,
+    prompts: bool,
+    mut keeper: Option<BoardKeeper>,
+) -> ! {
+    let talk = serial::run(port, dialogue, prompts);
+    match select(talk, serial::keep_trial(&mut keeper)).await {
+        Either::First(never) | Either::Second(never) => never,
+    }
 }
 
 #[esp_rtos::main]
 async fn main(spawner: Spawner) -> ! {
     vitals::paint_first();
     let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
-    let parts = esp_hal::init(config);
-    panic::pins_off();
-    #[cfg(feature = "esp32s3")]
-    esp_alloc::heap_allocator!(#[esp_hal::ram(reclaimed)] size: HEAP_BYTES);
-    #[cfg(not(feature = "esp32s3"))]
-    esp_alloc::heap_allocator!(size: HEAP_BYTES);
-    let report = panic::take_report();
-    #[cfg(feature = "psram")]
-    let ring = psram::ring_memory(parts.PSRAM);
-    #[cfg(not(feature = "psram"))]
-    let ring = psram::ring_memory();
-    let timers = TimerGroup::new(parts.TIMG0);
-    esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
-
+    let mut parts = esp_hal::init(config);
+    // The HAL has switched the boot loader's off.
+    watchdog::watch_boot(parts.RTC_TIMER.reborrow());
+    outputs::hold_low();
+    // Whatever fails behind this has been tried once, and a firmware that was tried before without success
+    // is left before it can fail again. So nothing comes first that a firmware may break.
     let storage = FlashStorage::new(parts.FLASH);
     #[cfg(feature = "dual")]
     let storage = storage.multicore_auto_park();
     let storage = keep!(RefCell<FlashStorage<'static>>, RefCell::new(storage));
     let flash = CoreFlash::new(storage);
-    let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
-        .expect("the partition has two erase units");
-    let dialogue = Dialogue::new(store, FIRMWARE).expect("the flash we run from is readable");
-    let record = keep!(Record, dialogue.record().clone());
-    let boot = random_u64() as u32;
-    let complete = record.is_complete();
-    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
-    let pins = pins.flatten();
-    // A machine that cannot be is like one that nobody has told: nothing moves.
-    let provisioned = pins.is_some();
-    let mut keeper = Keeper::boot(
-        flash,
-        Layout::BOARD,
-        BootLoader::new(flash),
-        FIRMWARE,
-        record.update_key,
-        plan::now().0,
-    )
-    .ok();
-    // A firmware that was tried before without success is left at once, before it can fail again.
+    let slot = flash::running_slot(flash);
+    let mut keeper = Keeper::boot(flash, Layout::BOARD, slot, FIRMWARE, plan::now().0).ok();
     if keeper
         .as_mut()
         .is_some_and(|keeper| keeper.poll(plan::now().0, false))
     {
         software_reset();
     }
+
+    #[cfg(feature = "esp32s3")]
+    esp_alloc::heap_allocator!(#[esp_hal::ram(reclaimed)] size: HEAP_BYTES);
+    #[cfg(not(feature = "esp32s3"))]
+    esp_alloc::heap_allocator!(size: HEAP_BYTES);
+    let report = panic::take_report();
+    if let Some(report) = &report {
+        esp_println::println!("the boot before: {report:?}");
+    }
+    #[cfg(feature = "psram")]
+    let ring = psram::ring_memory(parts.PSRAM);
+    #[cfg(not(feature = "psram"))]
+    let ring = psram::ring_memory();
+    let timers = TimerGroup::new(parts.TIMG0);
+    esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
+    spawner.spawn(watchdog::watch(parts.RTC_TIMER).expect("spawned once"));
+
+    let dialogue = made_dialogue(flash);
+    dialogue.read().expect("the flash we run from is readable");
+    let record = kept_record(dialogue);
+    if let Some(keeper) = keeper.as_mut() {
+        keeper.trust(record.update_key);
+    }
+    let boot = random_u64() as u32;
+    let pins = machine_pins(record, boot);
+    // A machine that cannot be is like one that nobody has told: nothing moves.
+    let provisioned = pins.is_some();
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
     let port = UsbSerialJtag::new(parts.USB_DEVICE).into_async();
     let Some(input_pins) = pins else {
-        serial::run(port, dialogue, true).await;
+        talk_only(port, dialogue, true, keeper).await;
     };
+    // The radio before whatever else wants memory: what it takes, it takes here and now.
+    let wifi = WifiController::new(parts.WIFI, ControllerConfig::default());
 
     let shelf = scripts::Shelf::open(flash);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
-    // Made again: it is large, and what lives across a wait lies in internal RAM for ever.
-    let mut config = node_config(record, boot);
     let has_cd = record.machine.has_cd;
     let outputs = BoardOutputs::new(
         #[cfg(feature = "timers")]
@@ -240,6 +303,7 @@ async fn main(spawner: Spawner) -> ! {
     }
     let plan_interrupt = parts.FROM_CPU_INTR2;
     let pulse_parts = parts.RMT;
+    let planning_timers = parts.TIMG1;
     #[cfg(feature = "counters")]
     let counter_parts = parts.PCNT;
     #[cfg(feature = "timers")]
@@ -266,6 +330,8 @@ async fn main(spawner: Spawner) -> ! {
         #[cfg(feature = "counters")]
         core::mem::forget(counters);
         let (inputs, levels) = InputPins::new(mux_parts, &input_pins);
+        // Made again, on this core's stack: it is large, and the other one's is short.
+        let mut config = node_config(record, boot);
         config.motion.input_levels = levels;
         let planning = Planning {
             node: made_node(ring, backend, outputs, config),
@@ -273,6 +339,7 @@ async fn main(spawner: Spawner) -> ! {
             outgoing: to_network,
             stop_pin: StopPin::new(),
             inputs,
+            watchdog: PlanningWatchdog::begin(planning_timers),
             has_psram: ring.len() > psram::SMALL_RING_COMMANDS * COMMAND_WORDS,
             report,
         };
@@ -283,22 +350,32 @@ async fn main(spawner: Spawner) -> ! {
     };
     #[cfg(feature = "dual")]
     {
-        use esp_hal::system::Stack;
+        use esp_hal::system::{CpuControl, Stack};
         let stack = keep!(Stack<STACK_BYTES>, Stack::new());
         vitals::paint_second(stack);
-        esp_rtos::start_second_core(parts.CPU_CTRL, parts.FROM_CPU_INTR1, stack, start_planning);
+        // Without the scheduler, which would run the radio's tasks there on stacks of their own: the
+        // planning task is an interrupt, and uses whatever stack it comes upon. This one is the only one.
+        let core = CpuControl::new(parts.CPU_CTRL).start_app_core(stack, move || {
+            start_planning();
+            rest();
+        });
+        core::mem::forget(core.expect("it does not run yet"));
     }
     #[cfg(not(feature = "dual"))]
     start_planning();
     spawner.spawn(lua::interpret().expect("spawned once"));
-    spawner.spawn(watchdog::watch(parts.TIMG1, parts.RTC_TIMER).expect("spawned once"));
 
-    let wifi = WifiController::new(parts.WIFI, ControllerConfig::default())
-        .expect("the radio is free and the heap has room for it");
+    let wifi = match wifi {
+        Ok(wifi) => wifi,
+        Err(error) => {
+            esp_println::println!("no radio: {error:?}");
+            talk_only(port, dialogue, false, keeper).await;
+        }
+    };
     let (stack, runner) = embassy_net::new(
         Interface::station(),
         wifi::address_config(record),
-        keep!(StackResources<6>, StackResources::new()),
+        kept_resources(),
         random_u64(),
     );
     spawner.spawn(wifi::connect(wifi, record).expect("spawned once"));
@@ -321,8 +398,6 @@ async fn main(spawner: Spawner) -> ! {
         shelf,
         gauges,
     );
-    match embassy_futures::select::select(link, serial::run(port, dialogue, false)).await {
-        embassy_futures::select::Either::First(never)
-        | embassy_futures::select::Either::Second(never) => never,
-    }
+    spawner.spawn(link.expect("spawned once"));
+    serial::run(port, dialogue, false).await
 }

@@ -3,7 +3,9 @@
 #[cfg(feature = "timers")]
 use crate::pwm::PwmChip;
 use crate::{
-    board::{ENABLE_PIN, LAMP_PIN, LASER_PIN, pin},
+    board::{
+        DIRECTION_PINS, ENABLE_PIN, LAMP_PIN, LASER_PIN, STEP_PIN_C, STEP_PIN_D, STEP_PINS, pin,
+    },
     lidar,
     rmt::set_pin,
     shift::ShiftRegister,
@@ -13,6 +15,18 @@ use motion::{Ticks, io::enable::OutputChange};
 use node::Outputs;
 #[cfg(feature = "timers")]
 use periphery::Laser;
+
+/// Drives every output low: drivers and laser off, nothing steps. From reset to here they float; what
+/// must be low then needs a resistor. What takes a pin later takes it as it is.
+pub(crate) fn hold_low() {
+    let single = [ENABLE_PIN, LASER_PIN, LAMP_PIN, STEP_PIN_C, STEP_PIN_D];
+    let all = single.iter().chain(&STEP_PINS).chain(&DIRECTION_PINS);
+    for number in all {
+        let output = Output::new(pin(*number), Level::Low, OutputConfig::default());
+        // It stays an output for as long as nobody makes something else of the pin.
+        core::mem::forget(output);
+    }
+}
 
 /// See the module.
 #[derive(Debug)]

@@ -1,66 +1,63 @@
-//! A panic: outputs off first, then tell.
+//! A panic: outputs off first, then tell. And what a reset that nobody asked for leaves to tell.
 //!
-//! Reason, stack and the last events are written to RTC RAM, which a reset leaves alone, and are
-//! published at the next start. Everything here is in internal RAM as far as the compiler allows:
-//! the formatting of the reason is not, and comes last.
+//! Reason, stack and the last events are in RTC RAM, which a reset leaves alone, and are published at the
+//! next start: [`periphery::blackbox`]. Everything that switches off is in internal RAM as far as the
+//! compiler allows: the formatting of the reason is not, and comes last.
 
 use crate::{
-    board::{AXES, DIRECTION_PINS, ENABLE_PIN, LASER_PIN, PLACES, STEP_PIN_C, STEP_PIN_D},
+    board::{
+        AXES, DIRECTION_PINS, ENABLE_PIN, LASER_PIN, PLACES, STEP_PIN_C, STEP_PIN_D, STEP_PINS,
+    },
     rmt::take_pin,
 };
 use core::{
     fmt::{self, Write},
     panic::PanicInfo,
     ptr::{addr_of, addr_of_mut},
+    sync::atomic::{AtomicU8, Ordering},
 };
 use esp_backtrace::Backtrace;
-use esp_hal::{ram, system::software_reset};
+use esp_hal::{
+    ram,
+    system::{Cpu, software_reset},
+};
+use periphery::blackbox::{BlackBox, FRAMES, REASON_BYTES, Report, Reset, WORDS, Words};
 use rmt::Registers;
 
-/// Bytes of the reason that are kept.
-const REASON_BYTES: usize = 120;
-/// Frames of the stack that are kept.
-const FRAMES: usize = 10;
-/// Events that are kept.
-pub(crate) const EVENTS: usize = 8;
-const REASON_WORDS: usize = REASON_BYTES / 4;
-const WORDS: usize = 4 + REASON_WORDS + FRAMES + 2 * EVENTS;
-const MAGIC: u32 = 0x5354_4f50;
-
-/// magic, checksum, bytes of the reason, frames; reason; frames; events (ms since boot, kind).
 #[ram(unstable(rtc_fast, persistent))]
 static mut KEPT: [u32; WORDS] = [0; WORDS];
 
-const REASON_AT: usize = 4;
-const FRAMES_AT: usize = REASON_AT + REASON_WORDS;
-const EVENTS_AT: usize = FRAMES_AT + FRAMES;
+/// The memory itself. Writers are the panic handler, when nothing else runs any more, and the planning
+/// task, whose events are beyond what the checksum covers.
+struct RtcRam;
 
-fn put(index: usize, word: u32) {
-    // SAFETY: a volatile write of one word within the array. Writers are the panic handler, when
-    // nothing else runs on its core any more, and the planning task, whose events are beyond what
-    // the checksum covers: a torn event is a wrong line in a log, no more.
-    unsafe {
-        addr_of_mut!(KEPT)
-            .cast::<u32>()
-            .add(index)
-            .write_volatile(word)
-    };
+impl Words for RtcRam {
+    fn get(&self, index: usize) -> u32 {
+        debug_assert!(index < WORDS);
+        // SAFETY: a volatile read of one word within the array; any bits are a number.
+        unsafe { addr_of!(KEPT).cast::<u32>().add(index).read_volatile() }
+    }
+
+    fn put(&mut self, index: usize, word: u32) {
+        debug_assert!(index < WORDS);
+        // SAFETY: a volatile write of one word within the array.
+        unsafe {
+            addr_of_mut!(KEPT)
+                .cast::<u32>()
+                .add(index)
+                .write_volatile(word)
+        };
+    }
 }
 
-fn get(index: usize) -> u32 {
-    // SAFETY: a volatile read of one word within the array; any bits are a number.
-    unsafe { addr_of!(KEPT).cast::<u32>().add(index).read_volatile() }
-}
-
-fn checksum() -> u32 {
-    (2..EVENTS_AT).fold(MAGIC, |sum, index| sum.rotate_left(5) ^ get(index))
-}
-
-/// Switches drivers and laser off, and the timers' steps: their pins are taken away from them, so
-/// that it does not matter what a timer does.
+/// Switches drivers and laser off, and all steps: their pins are taken away from whatever drives them,
+/// so that it does not matter what a timer does.
 #[ram]
-pub(crate) fn pins_off() {
+fn pins_off() {
     for pin in [LASER_PIN, ENABLE_PIN, STEP_PIN_C, STEP_PIN_D] {
+        take_pin(pin);
+    }
+    for pin in STEP_PINS {
         take_pin(pin);
     }
 }
@@ -77,11 +74,28 @@ fn outputs_off() {
     const { assert!(DIRECTION_PINS.len() == AXES) };
 }
 
-/// Notes an event that a panic would tell: `slot` counts up.
-pub(crate) fn keep_event(slot: usize, at_ms: u32, kind: u32) {
-    let at = EVENTS_AT + 2 * (slot % EVENTS);
-    put(at, at_ms);
-    put(at + 1, kind | 0x100);
+/// Stops the other core where it is. It may hold a lock: nothing behind this may want one.
+#[cfg(feature = "dual")]
+fn stop_other_core() {
+    use esp_hal::{peripherals::CPU_CTRL, system::CpuControl};
+
+    let other = match Cpu::current() {
+        Cpu::ProCpu => Cpu::AppCpu,
+        Cpu::AppCpu => Cpu::ProCpu,
+    };
+    // SAFETY: whoever else parks a core does not go on, and it is not this core.
+    unsafe { CpuControl::new(CPU_CTRL::steal()).park_core(other) };
+}
+
+/// Notes an event that the report of a reset would tell: `slot` counts up.
+pub(crate) fn keep_event(slot: usize, at_ms: u32, kind: u8) {
+    BlackBox::new(RtcRam).keep_event(slot, at_ms, kind);
+}
+
+/// Takes the report of the boot before, if it did not end as it should, and forgets it.
+pub(crate) fn take_report() -> Option<Report> {
+    let number = esp_hal::rtc_cntl::reset_reason(Cpu::ProCpu).map(|reason| reason as u8);
+    BlackBox::new(RtcRam).take(Reset::from_number(number))
 }
 
 struct Reason {
@@ -101,8 +115,28 @@ impl Write for Reason {
     }
 }
 
+/// Nobody panics yet.
+const NOBODY: u8 = 0;
+
+/// The core that panics, from 1.
+static PANICS: AtomicU8 = AtomicU8::new(NOBODY);
+
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
+    // Twice: at once, and when nobody is left who could switch something on again.
+    outputs_off();
+    let this = Cpu::current() as u8 + 1;
+    match PANICS.compare_exchange(NOBODY, this, Ordering::AcqRel, Ordering::Acquire) {
+        Ok(_) => {}
+        // In the middle of telling: what is kept is not whole, and so is not told.
+        Err(other) if other == this => software_reset(),
+        // The other core tells, and stops this one.
+        Err(_) => loop {
+            core::hint::spin_loop();
+        },
+    }
+    #[cfg(feature = "dual")]
+    stop_other_core();
     outputs_off();
     let mut reason = Reason {
         bytes: [0; REASON_BYTES],
@@ -112,69 +146,12 @@ fn panic(info: &PanicInfo<'_>) -> ! {
         let _ = write!(reason, "{}:{}: ", place.file(), place.line());
     }
     let _ = write!(reason, "{}", info.message());
-    put(0, 0);
-    put(2, reason.used as u32);
-    for (index, word) in reason.bytes.chunks_exact(4).enumerate() {
-        put(
-            REASON_AT + index,
-            u32::from_le_bytes([word[0], word[1], word[2], word[3]]),
-        );
-    }
     let backtrace = Backtrace::capture();
-    let frames = backtrace.frames();
-    put(3, frames.len().min(FRAMES) as u32);
-    for index in 0..FRAMES {
-        let frame = frames.get(index);
-        put(
-            FRAMES_AT + index,
-            frame.map_or(0, |frame| frame.program_counter() as u32),
-        );
+    let mut frames: heapless::Vec<u32, FRAMES> = heapless::Vec::new();
+    for frame in backtrace.frames() {
+        // The outermost are left out.
+        let _ = frames.push(frame.program_counter() as u32);
     }
-    put(1, checksum());
-    put(0, MAGIC);
+    BlackBox::new(RtcRam).keep_panic(&reason.bytes[..reason.used], &frames);
     software_reset()
-}
-
-/// What a panic before this boot left behind.
-#[derive(Clone, Debug)]
-pub(crate) struct Report {
-    /// Where and why.
-    pub(crate) reason: heapless::String<REASON_BYTES>,
-    /// Program counters, innermost first.
-    pub(crate) frames: heapless::Vec<u32, FRAMES>,
-    /// Time (ms since the boot before) and kind of the last events, in no order.
-    pub(crate) events: heapless::Vec<(u32, u8), EVENTS>,
-}
-
-/// Takes the report of the last boot, if it ended in a panic, and forgets it.
-pub(crate) fn take_report() -> Option<Report> {
-    let known = get(0) == MAGIC && get(1) == checksum();
-    let report = known.then(|| {
-        let used = (get(2) as usize).min(REASON_BYTES);
-        let mut reason = heapless::String::new();
-        for index in 0..used {
-            let byte = get(REASON_AT + index / 4).to_le_bytes()[index % 4];
-            let _ = reason.push(if byte.is_ascii() {
-                char::from(byte)
-            } else {
-                '?'
-            });
-        }
-        let count = (get(3) as usize).min(FRAMES);
-        let event = |slot: usize| (get(EVENTS_AT + 2 * slot), get(EVENTS_AT + 2 * slot + 1));
-        Report {
-            reason,
-            frames: (0..count).map(|index| get(FRAMES_AT + index)).collect(),
-            events: (0..EVENTS)
-                .map(event)
-                .filter(|(_, kind)| kind & 0x100 != 0)
-                .map(|(at_ms, kind)| (at_ms, kind as u8))
-                .collect(),
-        }
-    });
-    put(0, 0);
-    for index in EVENTS_AT..WORDS {
-        put(index, 0);
-    }
-    report
 }

@@ -18,6 +18,7 @@ use crate::{
     panic,
     rmt::{RmtBackend, WANTED},
     stop_pin::StopPin,
+    watchdog::PlanningWatchdog,
 };
 use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, Ordering};
 use embassy_futures::select::select;
@@ -29,6 +30,7 @@ use keys::{
 };
 use motion::StepBackend;
 use node::{Inbound, Node, Outbound};
+use periphery::blackbox::Report;
 
 /// Messages that wait for the node.
 pub(crate) const IN_MAX: usize = 8;
@@ -98,9 +100,6 @@ pub(crate) fn in_window<T>(write: impl FnOnce() -> T) -> Option<T> {
     Some(result)
 }
 
-/// The turn of the planning task: a watchdog watches it.
-pub(crate) static TURNS: AtomicU32 = AtomicU32::new(0);
-
 /// The node's clock: microseconds since boot.
 pub(crate) fn now() -> LocalMicros {
     LocalMicros(crate::rmt::now_ticks() / motion::TICKS_PER_US)
@@ -113,9 +112,10 @@ pub(crate) struct Planning {
     pub(crate) outgoing: Producer<'static, Outbound>,
     pub(crate) stop_pin: StopPin,
     pub(crate) inputs: InputPins,
+    pub(crate) watchdog: PlanningWatchdog,
     /// What is said once, when it starts.
     pub(crate) has_psram: bool,
-    pub(crate) report: Option<panic::Report>,
+    pub(crate) report: Option<Report>,
 }
 
 impl Planning {
@@ -125,7 +125,7 @@ impl Planning {
         self.tell_memory();
         let mut link = 0;
         let mut rssi_dbm = 0;
-        let mut events_kept = 0;
+        let mut events_kept = (0, 0);
         RUNS.store(true, Ordering::Release);
         loop {
             self.give_window().await;
@@ -161,7 +161,7 @@ impl Planning {
             let moves = self.node.motion().is_active();
             MOVES.store(moves, Ordering::Release);
             self.node.motion_mut().backend_mut().resume();
-            TURNS.fetch_add(1, Ordering::Relaxed);
+            self.watchdog.feed();
             self.wait(moves).await;
         }
     }
@@ -255,14 +255,14 @@ impl Planning {
         }
     }
 
-    /// Keeps the newest events where a panic finds them.
-    fn keep_events(&mut self, kept_until: &mut u64) {
-        let events = self.node.trace().events();
-        for (slot, (at, event)) in events.enumerate() {
-            if at.0 > *kept_until {
-                *kept_until = at.0;
-                panic::keep_event(slot, (at.0 / 1_000) as u32, event.kind() as u32);
-            }
+    /// Keeps the newest events where the next boot finds them. `kept`: the time of the last one, and how
+    /// many there were.
+    fn keep_events(&mut self, kept: &mut (u64, usize)) {
+        let until_us = kept.0;
+        let new = self.node.trace().events();
+        for (at, event) in new.filter(|(at, _)| at.0 > until_us) {
+            panic::keep_event(kept.1, (at.0 / 1_000) as u32, event.kind() as u8);
+            *kept = (at.0, kept.1 + 1);
         }
     }
 
@@ -283,11 +283,19 @@ impl Planning {
         let Some(report) = self.report.take() else {
             return;
         };
-        self.node.fault(FaultCode::PANIC, now());
-        self.node
-            .tell(now(), format_args!("panic: {}", report.reason));
-        self.node
-            .tell(now(), format_args!("stack: {:08x?}", &report.frames[..]));
+        match &report.panic {
+            Some(reason) => {
+                self.node.fault(FaultCode::PANIC, now());
+                self.node.tell(now(), format_args!("panic: {reason}"));
+                self.node
+                    .tell(now(), format_args!("stack: {:08x?}", &report.frames[..]));
+            }
+            None => {
+                self.node.fault(FaultCode::RESET, now());
+                self.node
+                    .tell(now(), format_args!("reset: {}", report.reset));
+            }
+        }
         self.node.tell(
             now(),
             format_args!("events (ms, kind): {:?}", &report.events[..]),

@@ -1,7 +1,7 @@
 //! Memory of the command ring: PSRAM, or a smaller ring in internal RAM where there is none.
 //!
-//! The ring is read by the planning task only, never by the interrupt. What PSRAM is left over goes
-//! to the heap. The node's log says which it is.
+//! The ring is read by the planning task only, never by the interrupt, and its words are loaded and
+//! stored, no more. What PSRAM is left over is a heap: see `heap.rs`. The node's log says which it is.
 
 use alloc::vec::Vec;
 use core::sync::atomic::AtomicU32;
@@ -14,19 +14,25 @@ pub(crate) const RING_COMMANDS: usize = 16_384;
 /// Commands that the ring holds in internal RAM: 8 KiB. The status tells it as credit.
 pub(crate) const SMALL_RING_COMMANDS: usize = 256;
 
-/// Memory of scripts, which internal RAM is too precious for; where PSRAM is missing or full, there is
-/// none.
+/// Budget of the PSRAM, bytes: `.ci/image-size` prints it, and this holds that the smallest module has
+/// room for all of it at once.
 #[cfg(feature = "psram")]
-pub(crate) const LUA_HEAP: node::interpreter::Heap = node::interpreter::Heap(allocate_external);
+pub(crate) mod budget {
+    use keys::{command::COMMAND_WORDS, script::SCRIPT_BYTES_MAX};
+    use node::library::STORED_MAX;
 
-/// Gives memory in PSRAM.
-///
-/// # Safety
-/// As `GlobalAlloc::alloc`.
-#[cfg(feature = "psram")]
-unsafe fn allocate_external(layout: core::alloc::Layout) -> *mut u8 {
-    // SAFETY: as promised.
-    unsafe { esp_alloc::HEAP.alloc_caps(esp_alloc::MemoryCapability::External.into(), layout) }
+    /// The command ring.
+    pub(crate) const RING: usize = super::RING_COMMANDS * COMMAND_WORDS * 4;
+    /// Lua: what a script may take.
+    pub(crate) const LUA: usize = crate::lua::LIMITS.memory_bytes as usize;
+    /// Stored scripts: both cores have all of them, and three are under way between them.
+    pub(crate) const SCRIPTS: usize = (2 * STORED_MAX + 3) * SCRIPT_BYTES_MAX;
+    /// Buffers of the socket, the session's queue and its batches, twice for what moves as they grow.
+    pub(crate) const NETWORK: usize = 2 * (2 * crate::link::SOCKET_BYTES + 64 * 1024);
+    /// The N8R8 module has 8 MiB.
+    const MODULE: usize = 8 << 20;
+
+    const _: () = assert!(RING + LUA + SCRIPTS + NETWORK <= MODULE);
 }
 
 /// Makes the small ring, from the heap: a board with PSRAM spares its memory.
@@ -38,7 +44,6 @@ fn small_ring() -> &'static [AtomicU32] {
 /// Takes the PSRAM: ring first, the rest becomes heap. The heap in internal RAM is there.
 #[cfg(feature = "psram")]
 pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'static [AtomicU32] {
-    use esp_alloc::{HeapRegion, MemoryCapability};
     use esp_hal::psram::{Psram, PsramConfig};
 
     let psram = Psram::new(psram, PsramConfig::default());
@@ -55,13 +60,7 @@ pub(crate) fn ring_memory(psram: esp_hal::peripherals::PSRAM<'static>) -> &'stat
         unsafe { words.add(index).write(AtomicU32::new(0)) };
     }
     // SAFETY: the memory behind the ring is mapped for ever and is used by nobody else.
-    unsafe {
-        esp_alloc::HEAP.add_region(HeapRegion::new(
-            start.add(ring_bytes),
-            bytes - ring_bytes,
-            MemoryCapability::External.into(),
-        ));
-    }
+    unsafe { crate::heap::add_external(start.add(ring_bytes), bytes - ring_bytes) };
     // SAFETY: initialized above, aligned to its page, and never given to anyone else.
     unsafe { core::slice::from_raw_parts(words, ring_words) }
 }

@@ -7,23 +7,29 @@
 //! ```
 //!
 //! Both hold all texts: a get is answered here, a call there. A full queue drops what is put, as if the
-//! network had lost it: whoever puts a script hears nothing of it in the log.
+//! network had lost it: whoever puts a script hears nothing of it in the log. So does a memory without
+//! room for both. What the flash holds beyond it, written by a board with more, is not loaded, and the
+//! node says so.
 
 use crate::{
     flash::CoreFlash,
+    heap::has_room,
     plan::{OUTGOING, WAKE, in_window},
     rmt::RmtBackend,
 };
 use alloc::{string::String, vec::Vec};
-use core::cell::Cell;
+use core::{
+    cell::Cell,
+    sync::atomic::{AtomicUsize, Ordering},
+};
 use embassy_sync::{
     blocking_mutex::{Mutex, raw::CriticalSectionRawMutex},
     channel::Channel,
 };
-use keys::LocalMicros;
+use keys::{LocalMicros, status::FaultCode};
 use node::{
     Node, Outputs,
-    library::{Change, Library, Saved, ScriptStore, flash::FlashStore},
+    library::{Change, Library, SaveError, Saved, ScriptStore, flash::FlashStore},
 };
 use update::{Region, layout};
 
@@ -36,6 +42,34 @@ static SAVED: Channel<CriticalSectionRawMutex, Saved, 4> = Channel::new();
 /// What the flash held at the start.
 static STOCK: Mutex<CriticalSectionRawMutex, Cell<Option<Vec<(String, String)>>>> =
     Mutex::new(Cell::new(None));
+
+/// How many of them the memory had no room for.
+static LEFT_OUT: AtomicUsize = AtomicUsize::new(0);
+
+/// A store of which is loaded what the memory has room for.
+#[derive(Debug)]
+struct Bounded<'a, S>(&'a mut S);
+
+impl<S: ScriptStore> ScriptStore for Bounded<'_, S> {
+    fn load(&mut self, take: &mut dyn FnMut(&str, &[u8])) -> Result<(), SaveError> {
+        self.0.load(&mut |name, text| {
+            // Here, on its way, and there.
+            if has_room(3, text.len()) {
+                take(name, text);
+            } else {
+                LEFT_OUT.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+    }
+
+    fn save(&mut self, name: &str, text: &[u8]) -> Result<(), SaveError> {
+        self.0.save(name, text)
+    }
+
+    fn remove(&mut self, name: &str) -> Result<(), SaveError> {
+        self.0.remove(name)
+    }
+}
 
 /// The scripts on core 0.
 pub(crate) struct Shelf {
@@ -51,7 +85,7 @@ impl Shelf {
         let mut store = FlashStore::open(Region::new(flash, layout::SCRIPTS)).ok();
         if let Some(store) = store.as_mut() {
             // What cannot be read is not there, and a get shows that.
-            let _ = library.load(store);
+            let _ = library.load(&mut Bounded(store));
         }
         let texts = library.iter();
         let texts = texts.map(|(name, text)| (String::from(name), String::from(text)));
@@ -62,6 +96,10 @@ impl Shelf {
 
     /// Gives a change to the node.
     pub(crate) fn put(&self, name: &str, text: Option<&[u8]>) {
+        // On its way, there, on its way back, and here.
+        if !text.is_none_or(|text| has_room(4, text.len())) {
+            return;
+        }
         let change = (String::from(name), text.map(Vec::from));
         // Full: lost, as on the way here.
         let _ = TO_NODE.try_send(change);
@@ -102,6 +140,14 @@ impl Shelf {
 pub(crate) fn exchange<O: Outputs>(node: &mut Node<'static, RmtBackend, O>, now: LocalMicros) {
     if let Some(stock) = STOCK.lock(Cell::take) {
         node.stock_scripts(now, stock);
+        let left_out = LEFT_OUT.load(Ordering::Relaxed);
+        if left_out > 0 {
+            node.fault(FaultCode::SCRIPTS, now);
+            node.tell(
+                now,
+                format_args!("memory has no room for {left_out} of the stored scripts"),
+            );
+        }
         node.run_boot_script(now);
     }
     // Checking a signature takes longer than a plan lasts.

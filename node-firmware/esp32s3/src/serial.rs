@@ -1,6 +1,10 @@
 //! The serial line: the dialogue with `fleet provision`, and a prompt for whoever looks.
 
-use crate::{flash::CoreFlash, plan::in_window};
+use crate::{
+    flash::CoreFlash,
+    link::BoardKeeper,
+    plan::{in_window, now},
+};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
@@ -11,10 +15,23 @@ use update::Region;
 /// The region of the flash that the record lies in.
 pub(crate) type RecordFlash = Region<CoreFlash>;
 
+/// Lets a firmware on trial be left where there is no session with a router that would.
+pub(crate) async fn keep_trial(keeper: &mut Option<BoardKeeper>) -> ! {
+    loop {
+        let due = keeper.as_mut().filter(|keeper| keeper.is_due(now().0));
+        if let Some(keeper) = due
+            && in_window(|| keeper.poll(now().0, false)) == Some(true)
+        {
+            software_reset();
+        }
+        Timer::after(Duration::from_millis(100)).await;
+    }
+}
+
 /// Talks for ever. `prompts`: nobody has told this node anything yet.
 pub(crate) async fn run(
     mut port: UsbSerialJtag<'static, Async>,
-    mut dialogue: Dialogue<RecordFlash>,
+    dialogue: &'static mut Dialogue<RecordFlash>,
     prompts: bool,
 ) -> ! {
     let mut answer = [0; FRAME_BYTES_MAX + 2];

@@ -3,11 +3,11 @@
 //!
 //! Stacks are painted before they are used. What still has the paint was never reached.
 
+use crate::heap;
 use core::{
     ptr::addr_of,
     sync::atomic::{AtomicUsize, Ordering},
 };
-use esp_alloc::{HEAP, MemoryCapability};
 use keys::{LocalMicros, Vitals};
 
 /// What a word of a stack is until somebody uses it.
@@ -170,13 +170,13 @@ impl Gauges {
 
     /// Reads everything.
     pub(crate) fn read(&self, now: LocalMicros) -> Vitals {
-        let free = |kind: MemoryCapability| u32::try_from(HEAP.free_caps(kind.into())).ok();
+        let bytes = |bytes: usize| u32::try_from(bytes).ok();
         Vitals {
             at: now,
             uptime_s: u32::try_from(now.0 / 1_000_000).ok(),
             chip_celsius: self.chip_celsius(),
-            internal_free_bytes: free(MemoryCapability::Internal),
-            psram_free_bytes: free(MemoryCapability::External).filter(|_| cfg!(feature = "psram")),
+            internal_free_bytes: bytes(heap::internal_free_bytes()),
+            psram_free_bytes: heap::external_free_bytes().and_then(bytes),
             network_stack_free_bytes: FIRST.free_bytes(),
             #[cfg(feature = "dual")]
             planning_stack_free_bytes: SECOND.free_bytes(),

@@ -7,6 +7,7 @@
 //!   lidar ──bytes──▶ lidar.rs ──mm──▶ motion, which waits for it
 //!   motion ──run, halt──▶ cd.rs ──MCPWM──▶ step C ──PCNT──▶ cd.rs;  ──LEDC──▶ step D
 //!   chip ──raw──▶ thermometer.rs ──°C──▶ the node's vitals
+//!   panic, events ──▶ blackbox.rs ──reset──▶ the log of the next boot
 //!   network ──question──▶ mdns.rs ──▶ the node's name and address
 //! ```
 //!
@@ -17,6 +18,7 @@
 //! Absent: what an input or a place means ([`motion::io`]), and which pin is which (the board).
 #![no_std]
 
+pub mod blackbox;
 pub mod cd;
 pub mod inputs;
 pub mod lidar;

@@ -6,13 +6,15 @@
 use crate::{
     frame::{self, FRAME_BYTES_MAX, FrameReader},
     machine::Machine,
-    record::{NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError},
+    record::{
+        AxisSettings, NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError,
+    },
     store::{Store, StoreError},
     tuning::Tuning,
 };
 use embedded_storage::nor_flash::NorFlash;
 use heapless::{String, Vec};
-use keys::NodeId;
+use keys::{AXES_MAX, NodeId};
 use serde::{Deserialize, Serialize};
 
 /// What the other side asks. Appended to, never changed.
@@ -36,6 +38,8 @@ pub enum Request {
     Restart,
     /// How does the machine move by itself?
     ShowTuning,
+    /// What do the drivers demand?
+    ShowAxes,
 }
 
 /// What the node answers. Appended to, never changed.
@@ -63,6 +67,8 @@ pub enum Reply {
     Refused(Refused),
     /// The answer to [`Request::ShowTuning`].
     Tuning(Tuning),
+    /// The answer to [`Request::ShowAxes`], by axis.
+    Axes(Vec<AxisSettings, AXES_MAX>),
 }
 
 /// A record without its secrets. Fields are only appended: one that an older firmware does not tell
@@ -91,6 +97,8 @@ pub struct Shown {
     pub has_tuning: bool,
     /// It was told whom to trust, and speaks TLS only.
     pub has_authority: bool,
+    /// It was told of drivers: see [`Request::ShowAxes`].
+    pub has_drivers: bool,
 }
 
 /// How much of an operator's key is shown.
@@ -137,16 +145,30 @@ impl<F: NorFlash> Dialogue<F> {
     ///
     /// # Errors
     /// The flash cannot be read.
-    pub fn new(mut store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
-        let kept = store.read()?.unwrap_or_default();
-        Ok(Self {
+    pub fn new(store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
+        let mut dialogue = Self::blank(store, firmware);
+        dialogue.read()?;
+        Ok(dialogue)
+    }
+
+    /// Makes one that has not [read](Self::read) what is kept.
+    pub fn blank(store: Store<F>, firmware: [u8; 3]) -> Self {
+        Self {
             store,
             firmware,
-            kept,
+            kept: Record::default(),
             collected: None,
             reader: FrameReader::new(),
             restart: false,
-        })
+        }
+    }
+
+    /// Reads what is kept.
+    ///
+    /// # Errors
+    /// The flash cannot be read.
+    pub fn read(&mut self) -> Result<(), StoreError> {
+        self.store.read_into(&mut self.kept).map(|_| ())
     }
 
     /// Returns what is kept.
@@ -202,6 +224,7 @@ impl<F: NorFlash> Dialogue<F> {
             }
             Request::Show => Reply::Record(shown(&self.kept)),
             Request::ShowTuning => Reply::Tuning(self.kept.tuning.clone()),
+            Request::ShowAxes => Reply::Axes(self.kept.axes.clone()),
             Request::Restart => {
                 self.restart = may_write;
                 if may_write {
@@ -253,5 +276,6 @@ fn shown(record: &Record) -> Shown {
         machine: record.machine.clone(),
         has_tuning: record.tuning != Tuning::default(),
         has_authority: record.authority.is_some(),
+        has_drivers: !record.axes.is_empty(),
     }
 }

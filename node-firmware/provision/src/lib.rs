@@ -14,6 +14,7 @@
 #![no_std]
 
 pub mod dialogue;
+pub mod driver;
 pub mod frame;
 pub mod host;
 pub mod kit;

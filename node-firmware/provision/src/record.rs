@@ -100,7 +100,12 @@ pub struct AxisSettings {
 
 impl Default for AxisSettings {
     fn default() -> Self {
-        let profile = AxisProfile::default();
+        Self::from(AxisProfile::default())
+    }
+}
+
+impl From<AxisProfile> for AxisSettings {
+    fn from(profile: AxisProfile) -> Self {
         Self {
             high_ns_min: profile.high_ns_min,
             low_ns_min: profile.low_ns_min,
@@ -251,6 +256,8 @@ pub enum SettingError {
     WayD,
     /// The authority has no name or no key.
     Authority,
+    /// A time of the driver is longer than motion plays, or none.
+    Driver,
 }
 
 impl core::fmt::Display for SettingError {
@@ -278,6 +285,10 @@ impl core::fmt::Display for SettingError {
             }
             Self::WayD => "Way of D: it has a way, a speed and steps",
             Self::Authority => "Authority: it has no name or no key",
+            Self::Driver => {
+                "Driver: a step's parts are 1 to 2000000 ns, setup and hold 1 to 200000 ns, and a \
+                 stop slows down by at least 1 step/s²"
+            }
         })
     }
 }
@@ -331,6 +342,9 @@ impl Record {
                 let index = usize::from(axis);
                 if index >= AXES_MAX {
                     return Err(SettingError::Axis);
+                }
+                if !settings.is_legal() {
+                    return Err(SettingError::Driver);
                 }
                 while self.axes.len() <= index {
                     let full = |_| SettingError::Axis;

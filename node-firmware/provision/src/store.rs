@@ -20,6 +20,8 @@ const VERSION: u16 = 1;
 const HEADER_BYTES: usize = 16;
 /// Header and record, in whole words of any flash (16 bytes is the widest here).
 const COPY_BYTES: usize = (HEADER_BYTES + RECORD_BYTES_MAX).next_multiple_of(16);
+/// A copy with zeros behind it, enough for the fields that an older one lacks.
+const PADDED_BYTES: usize = COPY_BYTES + 32;
 
 /// Why a record was not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,23 +79,58 @@ impl<F: NorFlash> Store<F> {
     /// # Errors
     /// The flash cannot be read.
     pub fn read(&mut self) -> Result<Option<Record>, StoreError> {
-        let mut found: Option<(u32, u32, Record)> = None;
-        for copy in 0..2 {
-            let mut bytes = [0; COPY_BYTES];
-            let at = copy * F::ERASE_SIZE as u32;
-            self.flash
-                .read(at, &mut bytes)
-                .map_err(|_| StoreError::Flash)?;
-            if let Some((sequence, record)) = record_from(&bytes)
-                && found
-                    .as_ref()
-                    .is_none_or(|(_, before, _)| is_newer(sequence, *before))
-            {
-                found = Some((copy, sequence, record));
+        let mut record = Record::default();
+        Ok(self.read_into(&mut record)?.then_some(record))
+    }
+
+    /// Reads the record to where it stays: it is too large to be handed on along a short stack. Returns
+    /// whether there is one that is whole; else nothing is written.
+    ///
+    /// # Errors
+    /// The flash cannot be read.
+    pub fn read_into(&mut self, record: &mut Record) -> Result<bool, StoreError> {
+        let mut copies = [self.sequence_of(0)?, self.sequence_of(1)?];
+        // At most two: one that is whole and means nothing is as if it were not there.
+        while let Some((copy, sequence)) = newest(copies) {
+            if self.record_of(copy, record)? {
+                self.current = Some((copy, sequence));
+                return Ok(true);
             }
+            copies[copy as usize] = None;
         }
-        self.current = found.as_ref().map(|(copy, sequence, _)| (*copy, *sequence));
-        Ok(found.map(|(_, _, record)| record))
+        self.current = None;
+        Ok(false)
+    }
+
+    /// Returns the sequence number of a copy that is whole.
+    #[inline(never)]
+    fn sequence_of(&mut self, copy: u32) -> Result<Option<u32>, StoreError> {
+        let mut bytes = [0; PADDED_BYTES];
+        self.read_copy(copy, &mut bytes)?;
+        Ok(whole(&bytes).map(|(sequence, _)| sequence))
+    }
+
+    /// Reads the record of a copy. Apart from the rest, so that its buffer is not below anything else.
+    #[inline(never)]
+    fn record_of(&mut self, copy: u32, record: &mut Record) -> Result<bool, StoreError> {
+        let mut bytes = [0; PADDED_BYTES];
+        self.read_copy(copy, &mut bytes)?;
+        let Some((_, used)) = whole(&bytes) else {
+            return Ok(false);
+        };
+        bytes[HEADER_BYTES + used..].fill(0);
+        let Some(read) = decode(&bytes[HEADER_BYTES..]) else {
+            return Ok(false);
+        };
+        *record = read;
+        Ok(true)
+    }
+
+    fn read_copy(&mut self, copy: u32, bytes: &mut [u8; PADDED_BYTES]) -> Result<(), StoreError> {
+        let at = copy * F::ERASE_SIZE as u32;
+        self.flash
+            .read(at, &mut bytes[..COPY_BYTES])
+            .map_err(|_| StoreError::Flash)
     }
 
     /// Keeps a record instead of the one before. Returns its sequence number.
@@ -157,24 +194,29 @@ fn checksum(bytes: &[u8], used: usize) -> u32 {
     hasher.finalize()
 }
 
-fn record_from(bytes: &[u8; COPY_BYTES]) -> Option<(u32, Record)> {
+/// Returns sequence number and bytes of a record that is whole.
+fn whole(bytes: &[u8]) -> Option<(u32, usize)> {
     let half = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
     let word = |at: usize| u32::from(half(at)) | u32::from(half(at + 2)) << 16;
     let used = usize::from(half(6));
-    if word(0) != MAGIC || half(4) != VERSION || used > RECORD_BYTES_MAX {
-        return None;
-    }
-    if word(12) != checksum(bytes, used) {
-        return None;
-    }
-    Some((word(8), decode(&bytes[HEADER_BYTES..HEADER_BYTES + used])?))
+    let known = word(0) == MAGIC && half(4) == VERSION && used <= RECORD_BYTES_MAX;
+    (known && word(12) == checksum(bytes, used)).then(|| (word(8), used))
 }
 
-/// Reads a record whose last fields may be missing: every default is a row of zero bytes.
-fn decode(bytes: &[u8]) -> Option<Record> {
-    let mut padded = [0; RECORD_BYTES_MAX + 32];
-    padded[..bytes.len()].copy_from_slice(bytes);
-    postcard::take_from_bytes(&padded)
+/// Returns the newer of two copies, with its sequence number.
+fn newest(copies: [Option<u32>; 2]) -> Option<(u32, u32)> {
+    match copies {
+        [Some(first), Some(second)] if is_newer(second, first) => Some((1, second)),
+        [Some(first), _] => Some((0, first)),
+        [None, Some(second)] => Some((1, second)),
+        [None, None] => None,
+    }
+}
+
+/// Reads a record behind which zeros follow: its last fields may be missing, and every default is a row
+/// of zero bytes.
+fn decode(padded: &[u8]) -> Option<Record> {
+    postcard::take_from_bytes(padded)
         .ok()
         .map(|(record, _)| record)
 }
@@ -183,6 +225,12 @@ fn decode(bytes: &[u8]) -> Option<Record> {
 mod tests {
     use super::*;
     use crate::machine::Machine;
+
+    fn decoded(bytes: &[u8]) -> Option<Record> {
+        let mut padded = [0; PADDED_BYTES];
+        padded[..bytes.len()].copy_from_slice(bytes);
+        decode(&padded)
+    }
 
     /// What the first firmware kept: every field set, before there were boot scripts and signers.
     const OLDER: &[u8] = &[
@@ -200,7 +248,7 @@ mod tests {
 
     #[test]
     fn a_record_of_the_first_firmware_allows_no_boot_script_and_has_no_signers() {
-        let record = decode(OLDER).expect("it stays readable");
+        let record = decoded(OLDER).expect("it stays readable");
         assert_eq!(record.name.map(|name| name.as_str() == "left"), Some(true));
         assert_eq!(record.prefix, "s1");
         assert_eq!(record.networks[0].password, "password");
@@ -228,7 +276,7 @@ mod tests {
 
     #[test]
     fn missing_fields_are_their_defaults() {
-        assert_eq!(decode(&[]), Some(Record::default()));
+        assert_eq!(decoded(&[]), Some(Record::default()));
         let record = Record {
             router: heapless::String::try_from("tcp/a:1").expect("short"),
             ..Record::default()
@@ -236,7 +284,7 @@ mod tests {
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
         let shorter = &bytes[..bytes.len() - 6];
-        assert_eq!(decode(shorter), Some(record), "login and all behind it");
+        assert_eq!(decoded(shorter), Some(record), "login and all behind it");
     }
 
     #[test]

@@ -83,6 +83,13 @@ impl TlsConfig {
     }
 }
 
+/// Most bytes of anything that is shared by counting here: memory whose atomic operations do not work
+/// may hold larger things, and only them.
+pub const SHARED_BYTES_MAX: usize = 504;
+
+// With its two counters, and on any target: a host's pointers are the longest.
+const _: () = assert!(size_of::<ClientConfig>() + 2 * size_of::<usize>() <= SHARED_BYTES_MAX);
+
 /// See the module.
 pub struct TlsLink {
     connection: UnbufferedClientConnection,

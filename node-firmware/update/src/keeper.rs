@@ -12,7 +12,7 @@
 //! leaves a slot that boots. Flash is written only while nothing moves.
 
 use crate::{
-    Boot, TRIAL_US, Trial, TrialError, Updater,
+    Boot, Note, TRIAL_US, Trial, TrialError, Updater,
     region::{Place, Region},
 };
 use embedded_storage::nor_flash::NorFlash;
@@ -21,24 +21,6 @@ use keys::update::{UpdateMessage, UpdateRefusal, UpdateReply};
 /// From the last answer to the restart, µs: the answer has left by then.
 pub const RESTART_US: u64 = 500_000;
 
-/// The boot loader, as far as a program can speak to it.
-pub trait Loader {
-    /// Returns the slot that runs: 0 or 1.
-    fn running(&mut self) -> u8;
-
-    /// Selects the slot that it starts from now on. A power cut leaves the one before or this one.
-    ///
-    /// # Errors
-    /// The one before stays selected.
-    fn select(&mut self, slot: u8) -> Result<(), TrialError>;
-
-    /// The slot that runs has proved itself; for boot loaders that keep a note of that.
-    ///
-    /// # Errors
-    /// The flash did not keep it.
-    fn confirm(&mut self) -> Result<(), TrialError>;
-}
-
 /// Where a node's images lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
@@ -46,6 +28,8 @@ pub struct Layout {
     pub slots: [Place; 2],
     /// The journal of trials.
     pub journal: Place,
+    /// The boot loader's note.
+    pub note: Place,
 }
 
 impl Layout {
@@ -53,15 +37,16 @@ impl Layout {
     pub const BOARD: Self = Self {
         slots: crate::layout::SLOTS,
         journal: crate::layout::JOURNAL,
+        note: crate::layout::OTADATA,
     };
 }
 
 /// See the module. `F` is a handle to the whole flash.
 #[derive(Debug)]
-pub struct Keeper<F, L> {
+pub struct Keeper<F> {
     updater: Updater<Region<F>>,
     trial: Trial<Region<F>>,
-    loader: L,
+    note: Note<Region<F>>,
     running: u8,
     version: [u8; 3],
     /// When a trial has failed; `None`: it is none, or has succeeded.
@@ -71,28 +56,27 @@ pub struct Keeper<F, L> {
     restart_at_us: Option<u64>,
 }
 
-impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
-    /// Begins a boot of firmware of this version. `key` is the public key that images must be signed
-    /// with.
+impl<F: NorFlash + Clone> Keeper<F> {
+    /// Begins a boot of firmware of this version out of the slot `running`, as the first thing that
+    /// it does: what fails before is not known to have been tried. It takes no images before it
+    /// [trusts](Self::trust) a key.
     ///
     /// # Errors
     /// The journal cannot be read or written. The node runs on as it is, without updates.
     pub fn boot(
         flash: F,
         layout: Layout,
-        mut loader: L,
+        running: u8,
         version: [u8; 3],
-        key: Option<[u8; 32]>,
         now_us: u64,
     ) -> Result<Self, TrialError> {
-        let running = loader.running();
         let mut trial = Trial::new(Region::new(flash.clone(), layout.journal))?;
         let boot = trial.boot(running)?;
         let other = layout.slots[usize::from(1 - running)];
         Ok(Self {
-            updater: Updater::new(Region::new(flash, other), key),
+            updater: Updater::new(Region::new(flash.clone(), other), None),
             trial,
-            loader,
+            note: Note::new(Region::new(flash, layout.note)),
             running,
             version,
             trial_ends_us: match boot {
@@ -104,6 +88,11 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
             reached: false,
             restart_at_us: None,
         })
+    }
+
+    /// Takes images from now on, if they are signed with this public key.
+    pub fn trust(&mut self, key: Option<[u8; 32]>) {
+        self.updater.trust(key);
     }
 
     /// Returns the slot that runs.
@@ -141,7 +130,7 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
         let selected = self
             .trial
             .try_other()
-            .and_then(|()| self.loader.select(other));
+            .and_then(|()| self.note.select_on_trial(other));
         if selected.is_err() {
             return UpdateReply::Refused(UpdateRefusal::Flash);
         }
@@ -164,7 +153,7 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
             if self
                 .trial
                 .confirm()
-                .and_then(|()| self.loader.confirm())
+                .and_then(|()| self.note.select_proven(self.running))
                 .is_ok()
             {
                 self.reached = false;
@@ -172,7 +161,7 @@ impl<F: NorFlash + Clone, L: Loader> Keeper<F, L> {
             }
         } else if self.trial_ends_us.is_some_and(|at_us| now_us >= at_us)
             && self.restart_at_us.is_none()
-            && self.loader.select(1 - self.running).is_ok()
+            && self.note.select_proven(1 - self.running).is_ok()
         {
             self.restart_at_us = Some(now_us);
         }

@@ -10,18 +10,20 @@
 //! ```
 //!
 //! Start with [`Keeper`], the whole of it for one node: [`Updater`] takes an image chunk by chunk,
-//! [`Trial`] is what survives a reset, whether the slot that runs has proved itself; [`Loader`] is
-//! the boot loader. All are pure state machines on the flash traits of `embedded-storage`; a power
+//! [`Trial`] is what survives a reset, whether the slot that runs has proved itself; [`Note`] is what
+//! the boot loader goes by. All are pure state machines on the flash traits of `embedded-storage`; a power
 //! cut at any byte leaves a slot that boots. `layout.rs` says where things lie in a board's flash.
 #![no_std]
 
 pub mod keeper;
 pub mod layout;
+pub mod note;
 pub mod region;
 pub mod trial;
 pub mod updater;
 
-pub use keeper::{Keeper, Layout, Loader};
+pub use keeper::{Keeper, Layout};
+pub use note::Note;
 pub use region::{Place, Region};
 pub use trial::{Boot, TRIAL_US, Trial, TrialError};
 pub use updater::Updater;

@@ -179,10 +179,12 @@ impl<F: NorFlash> Trial<F> {
     /// # Errors
     /// The flash did not keep it, or the present image is on trial itself.
     pub fn try_other(&mut self) -> Result<(), TrialError> {
-        if self.is_on_trial() {
-            return Err(TrialError);
+        match self.entry.state {
+            State::Good => self.append(1 - self.entry.slot, State::New),
+            // Noted before in this boot, which would have taken it for tried; the boot loader was not told.
+            State::New => Ok(()),
+            State::Tried => Err(TrialError),
         }
-        self.append(1 - self.entry.slot, State::New)
     }
 
     fn append(&mut self, slot: u8, state: State) -> Result<(), TrialError> {

@@ -1,21 +1,26 @@
 //! Takes an image chunk by chunk into the slot that does not run.
 //!
 //! Chunks come in order; one that comes again is answered again. The hash is taken of what the flash
-//! holds, not of what came, and the signature is over the hash: so what boots is what was signed.
+//! holds, not of what came, and the signature is over the hash: so what boots is what was signed. It is
+//! taken chunk by chunk, behind each write: over a whole image it would take longer than a watchdog
+//! waits.
 
+use core::ops::Range;
 use ed25519_dalek::{Signature, VerifyingKey};
 use embedded_storage::nor_flash::NorFlash;
 use keys::update::{CHUNK_BYTES_MAX, SIGNED_PREFIX, UpdateMessage, UpdateRefusal, UpdateReply};
 use sha2::{Digest, Sha256};
 
 /// An image under way.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Image {
     bytes: u32,
     hash: [u8; 32],
     signature: [u8; 64],
     /// How many have been written.
     written_bytes: u32,
+    /// Of these, read back.
+    hasher: Sha256,
     whole: bool,
 }
 
@@ -37,6 +42,12 @@ impl<F: NorFlash> Updater<F> {
         }
     }
 
+    /// Takes another key.
+    pub fn trust(&mut self, key: Option<[u8; 32]>) {
+        self.key = key;
+        self.image = None;
+    }
+
     /// Gives the slot back.
     pub fn into_slot(self) -> F {
         self.slot
@@ -45,7 +56,7 @@ impl<F: NorFlash> Updater<F> {
     /// Returns whether an image is whole and signed: [`Trial::try_other`](crate::Trial::try_other)
     /// and a boot follow.
     pub fn is_ready(&self) -> bool {
-        self.image.is_some_and(|image| image.whole)
+        self.image.as_ref().is_some_and(|image| image.whole)
     }
 
     /// Takes a message. `moves`: something moves, so the flash must not be touched.
@@ -96,6 +107,7 @@ impl<F: NorFlash> Updater<F> {
             hash,
             signature,
             written_bytes: 0,
+            hasher: Sha256::new(),
             whole: false,
         });
         Ok(UpdateReply::At { bytes: 0 })
@@ -137,43 +149,30 @@ impl<F: NorFlash> Updater<F> {
                 .write(at + whole as u32, &word[..F::WRITE_SIZE])
                 .map_err(|_| UpdateRefusal::Flash)?;
         }
+        let mut hasher = image.hasher.clone();
+        hash_slot(&mut self.slot, at..end, &mut hasher)?;
+        image.hasher = hasher;
         image.written_bytes = end;
         Ok(UpdateReply::At { bytes: end })
     }
 
     fn finish(&mut self) -> Result<UpdateReply, UpdateRefusal> {
-        let image = self.image.ok_or(UpdateRefusal::NotBegun)?;
+        let image = self.image.as_ref().ok_or(UpdateRefusal::NotBegun)?;
         if image.written_bytes != image.bytes {
             return Ok(UpdateReply::At {
                 bytes: image.written_bytes,
             });
         }
-        let hash = self.hash_of_slot(image.bytes)?;
+        let hash: [u8; 32] = image.hasher.clone().finalize().into();
         if hash != image.hash {
             self.image = None;
             return Err(UpdateRefusal::Hash);
         }
         self.verify(&hash, &image.signature)?;
-        self.image = Some(Image {
-            whole: true,
-            ..image
-        });
-        Ok(UpdateReply::Ready)
-    }
-
-    fn hash_of_slot(&mut self, bytes: u32) -> Result<[u8; 32], UpdateRefusal> {
-        let mut hasher = Sha256::new();
-        let mut at = 0;
-        while at < bytes {
-            let mut chunk = [0; 256];
-            self.slot
-                .read(at, &mut chunk)
-                .map_err(|_| UpdateRefusal::Flash)?;
-            let used = (bytes - at).min(256);
-            hasher.update(&chunk[..used as usize]);
-            at += used;
+        if let Some(image) = &mut self.image {
+            image.whole = true;
         }
-        Ok(hasher.finalize().into())
+        Ok(UpdateReply::Ready)
     }
 
     fn verify(&self, hash: &[u8; 32], signature: &[u8; 64]) -> Result<(), UpdateRefusal> {
@@ -185,4 +184,23 @@ impl<F: NorFlash> Updater<F> {
         key.verify_strict(&signed, &Signature::from_bytes(signature))
             .map_err(|_| UpdateRefusal::Signature)
     }
+}
+
+/// Adds what the slot holds there. `range` begins at a word that can be written.
+fn hash_slot<F: NorFlash>(
+    slot: &mut F,
+    range: Range<u32>,
+    hasher: &mut Sha256,
+) -> Result<(), UpdateRefusal> {
+    let mut at = range.start;
+    while at < range.end {
+        let mut piece = [0; 256];
+        let used = (range.end - at).min(256) as usize;
+        let words = used.next_multiple_of(F::READ_SIZE.max(F::WRITE_SIZE));
+        slot.read(at, &mut piece[..words])
+            .map_err(|_| UpdateRefusal::Flash)?;
+        hasher.update(&piece[..used]);
+        at += used as u32;
+    }
+    Ok(())
 }

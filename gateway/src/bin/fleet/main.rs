@@ -10,6 +10,7 @@ mod bench;
 mod check;
 #[cfg(feature = "demo")]
 mod demo;
+mod driver;
 mod follow;
 mod help;
 mod jog;

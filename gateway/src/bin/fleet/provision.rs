@@ -2,6 +2,7 @@
 
 use crate::{
     args::Common,
+    driver::{self, Driver},
     link::Failure,
     tuning::{self, TuningArgs},
 };
@@ -98,6 +99,14 @@ pub(crate) struct Provision {
     /// Forget all switches that the node was told before.
     #[arg(long)]
     no_switches: bool,
+
+    /// What the driver of an axis demands: AXIS=DRIVER with a4988, drv8825, tmc2209, dm556 or default, and
+    /// what differs behind it, as in `0=tmc2209` or `1=drv8825,setup=1000,inverted`: high, low (shortest),
+    /// pulse (high time of slow steps), setup, hold (of the direction), all in ns; stop (steps/s² of a stop
+    /// of raw moves), corner (Hz that the speed may jump). What is not named is as that driver has it. May
+    /// be repeated.
+    #[arg(long, value_name = "AXIS=DRIVER,…", value_parser = driver::read)]
+    driver: Vec<Driver>,
 
     #[command(flatten)]
     tuning: TuningArgs,
@@ -248,6 +257,7 @@ impl Provision {
         settings.extend(self.switch.iter().copied().map(Setting::Switch));
         let answers = QUESTIONS.iter().zip(self.answers.0);
         settings.extend(answers.filter_map(|(question, answer)| answer.map(question.setting)));
+        settings.extend(self.driver.iter().copied().map(Driver::setting));
         settings.extend(self.tuning.settings());
         Ok(settings)
     }
@@ -399,7 +409,14 @@ fn talk(port: &Path, settings: Vec<Setting>, restart: bool, json: bool) -> Resul
     {
         told = tuning;
     }
-    show(&shown, &tuning::lines(&told), firmware, json);
+    let mut lines = Vec::new();
+    if shown.has_drivers
+        && let Reply::Axes(axes) = ask(&mut *port, Request::ShowAxes)?
+    {
+        lines = driver::lines(&axes);
+    }
+    lines.extend(tuning::lines(&told));
+    show(&shown, &lines, firmware, json);
     if restart {
         ask(&mut *port, Request::Restart)?;
     }

@@ -24,6 +24,9 @@ mod board;
 #[cfg(feature = "timers")]
 #[path = "../cd.rs"]
 mod cd;
+#[path = "../heap.rs"]
+#[expect(dead_code, reason = "the one small heap will do")]
+mod heap;
 #[path = "../inputs.rs"]
 mod inputs;
 #[cfg(feature = "timers")]
