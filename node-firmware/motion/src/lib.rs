@@ -58,6 +58,7 @@
 pub mod axis;
 pub mod backend;
 pub mod counterparts;
+pub mod driver;
 pub mod encoder;
 pub mod io;
 pub mod law;
@@ -79,6 +80,7 @@ mod steps;
 
 pub use axis::Axis;
 pub use backend::{CdBackend, StepBackend};
+pub use driver::Driver;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
