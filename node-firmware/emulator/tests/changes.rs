@@ -327,6 +327,40 @@ fn a_change_takes_effect_within_two_milliseconds() {
 }
 
 #[test]
+fn raw_moves_tell_the_way_that_their_stop_takes() {
+    // v²/2a, and what the hardware holds; or what is left of the queue.
+    for (delay_us, steps, least, most) in [
+        (100_u32, 5_000, 500, 521),
+        (20, 100_000, 12_500, 12_549),
+        (20, 5_000, 1_900, 2_100),
+        (4_000, 100, 0, 1),
+    ] {
+        let mut bench = Bench::new(config());
+        bench.order([Command::Move {
+            axis: Y,
+            delay_us,
+            steps: -steps,
+        }]);
+        bench.run_until(60_000);
+        let (way, before) = (bench.motion().steps_to_stop(), bench.position(Y));
+        assert!((least..=most).contains(&way), "{delay_us} µs: {way}");
+        bench.stop(StopMode::Decelerate);
+        bench.run_until(70_000);
+        let (left, here) = (bench.motion().steps_to_stop(), bench.position(Y));
+        bench.run_until(3_000_000);
+        // The stop computes with whole mHz, rounded down.
+        for (from, way) in [(before, way), (here, left)] {
+            let made = from.abs_diff(bench.position(Y));
+            assert!(
+                (made..=made + 1 + made / 2_000).contains(&way),
+                "{delay_us} µs: {made}, told {way}"
+            );
+        }
+        assert_eq!(bench.motion().steps_to_stop(), 0, "it rests");
+    }
+}
+
+#[test]
 fn any_number_of_changes_at_one_instant_or_in_quick_succession_is_taken() {
     for wait_us in [0, 1, 130] {
         let mut bench = Bench::new(config());

@@ -1,10 +1,18 @@
 //! What follows a halt at once: a driver that needs the direction to be held after the last step
 //! gets it, whatever the next queue begins with.
 
+mod bench;
+
+use bench::{Bench, config};
 use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle};
 use keys::{
     AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, Order, StopMode,
     batch::{BatchWriter, ORDER_BYTES_MAX},
+};
+
+use motion::{
+    MotionEvent, Ticks,
+    io::input::{Filter, InputConfig, InputMap, PinLevel, Role},
 };
 
 fn give(node: &mut EmulatedNode, delay_us: u32, steps: i32, now: LocalMicros) {
@@ -71,5 +79,49 @@ fn a_stop_that_overrides_a_cancel_finds_the_axis_slowing_down_already() {
             let lines: Vec<_> = violations.iter().map(ToString::to_string).collect();
             panic!("stopped {later_us} µs later: {}", lines.join("; "));
         }
+    }
+}
+
+#[test]
+fn a_probe_that_touches_just_before_a_stop_is_told_with_its_place() {
+    let probe = InputConfig {
+        role: Role::Probe,
+        active_low: false,
+        filter: Filter::default(),
+    };
+    for mode in [StopMode::Halt, StopMode::Decelerate] {
+        let mut config = config();
+        config.motion.inputs = InputMap::new(&[probe], 2).expect("legal");
+        let mut bench = Bench::new(config);
+        let steps = |steps| Command::Move {
+            axis: AxisId(0),
+            delay_us: 250,
+            steps,
+        };
+        bench.order([steps(3_000)]);
+        bench.run_until(400_000);
+        let touched = bench.node.status().axes[0].position_steps;
+        let now = Ticks(bench.now.0 * 16);
+        let motion = bench.node.node_mut().motion_mut();
+        motion.input(PinLevel {
+            index: 0,
+            level: true,
+            at: now,
+            counted_steps: [touched, 0, 0, 0],
+        });
+        // Its level counts when it has been the same for a while: nobody looks until the stop comes.
+        let later = Ticks(now.0 + 10_000 * 16);
+        motion.stop(mode, later);
+        let mut told = Vec::new();
+        while let Some(event) = motion.poll(later) {
+            if let MotionEvent::Probe {
+                active,
+                positions_steps,
+            } = event
+            {
+                told.push((active, positions_steps[0]));
+            }
+        }
+        assert_eq!(told, [(true, touched)], "{mode:?}");
     }
 }

@@ -149,7 +149,8 @@ fn speed_target_and_direction_change_in_flight() {
     let speed = bench.node.status().axes[0].speed_mhz;
     assert!((1_700_000..1_900_000).contains(&speed), "{speed}");
     bench.run_for(1_000_000);
-    assert!((bench.node.status().axes[0].speed_mhz - speed).abs() < 200);
+    // A tick more or less of an interval of 8,900 is 0.2 Hz.
+    assert!((bench.node.status().axes[0].speed_mhz - speed).abs() < 210);
     bench.jog(r#"{"axis":0,"run":"backward","speed_hz":2000,"accel":6000}"#);
     bench.run_for(400_000);
     bench.jog(r#"{"axis":0,"to":777,"speed_hz":4000,"accel":8000}"#);

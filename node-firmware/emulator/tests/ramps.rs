@@ -184,7 +184,9 @@ fn the_reference_ramps_last_as_long_as_they_should() {
         let life = run([mark(), ramp(X, steps, speed_hz, accel, shape), mark()]);
         let edges = rises(&life, X);
         let ticks = (edges[edges.len() - 1] - edges[0]) as f64 - 16_000.0;
-        let tolerance = if total_s.fract() == 0.0 { 1.0 } else { 10.0 };
+        // Two of them are known to a µs only: half of that is 8 ticks.
+        let is_rough = matches!(shape, RampShape::Trapezoid { .. }) && shape != TRAPEZOID;
+        let tolerance = if is_rough { 9.0 } else { 1.0 };
         assert!(
             (ticks - total_s * 16e6).abs() <= tolerance,
             "{steps} {speed_hz} {accel} {shape:?}: {ticks}"
@@ -366,6 +368,20 @@ fn a_stop_at_any_instant_of_a_ramp_keeps_its_limits_and_the_position() {
 #[test]
 fn a_stop_at_any_instant_of_joined_lines_stays_on_the_path() {
     for seed in seeds_from(5_000, 400) {
+        let commands = if seed % 2 == 0 {
+            row(seed)
+        } else {
+            curve(seed)
+        };
+        stop_somewhere(seed, commands);
+    }
+}
+
+#[test]
+fn a_jerk_limited_stop_over_a_corner_is_as_soft_as_the_softest_line_that_it_reaches() {
+    // A braking by the first line's jerk would be 1 to 4 % too hard in the next one, whose axis
+    // with most steps has another share of the tool's way; or, softer, too fast for the corner.
+    for seed in [5_076, 5_673, 5_955, 6_981] {
         let commands = if seed % 2 == 0 {
             row(seed)
         } else {

@@ -147,6 +147,13 @@ impl Axis {
         rewound
     }
 
+    /// Returns how many steps follow behind what is encoded if it slows down now.
+    pub(crate) fn steps_to_rest(&self) -> u64 {
+        let goes_on = matches!(self.segments.peek(), Some(Segment::Steps { .. }));
+        let steps_ahead = self.segments.steps_ahead();
+        self.encoder.steps_to_rest(goes_on, steps_ahead)
+    }
+
     /// Leaves the plan and slows down.
     pub(crate) fn decelerate(&mut self) {
         let goes_on = matches!(self.segments.peek(), Some(Segment::Steps { .. }));

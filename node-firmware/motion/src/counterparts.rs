@@ -63,7 +63,7 @@
 //! | `forwardStep`, `backwardStep`, only when idle | [`Target::By`] of ±1, [`Command::Move`] | |
 //! | `moveByAcceleration(a, allow_reverse)` | [`Target::Forever`] with another [`Course`]; [`Motion::coast`] for 0; [`Motion::end_drive_of`] | another sign turns it; the speed that is kept is known to a mHz |
 //! | `stopMove` | [`Motion::end_drive_of`], [`Motion::end_drive`] or [`Motion::stop`] with [`StopMode::Decelerate`] | on its path, begins within 2 ms. May not be called from an interrupt: a stop input is a message to the owner |
-//! | `stepsToStop` | [`Motion::steps_to_stop`] | exact: includes what the hardware holds, and knows S-curves |
+//! | `stepsToStop` | [`Motion::steps_to_stop`] | exact: includes what the hardware holds, and knows S-curves; raw moves to a few in ten thousand |
 //! | `forceStop`, within 20 ms | [`Motion::stop`] with [`StopMode::Halt`] | at once, at the end of the high time; the position is exact. Not from an interrupt either |
 //! | `forceStopAndNewPosition`, the position is lost | [`Motion::stop`], then [`Command::SetPosition`] if wanted | the position is never lost |
 //! | `rampState`, `isRampGeneratorActive` | [`Motion::speed_mhz`], [`Motion::is_driving`] | no counterpart of its bits: accelerating, coasting, decelerating, reversing |

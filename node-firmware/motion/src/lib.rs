@@ -20,6 +20,8 @@
 //! | [`lookahead`] | how fast a line may be left, given the lines behind it |
 //! | `steps.rs` | a path to the edges of all axes, put together to segments |
 //! | `motion/change.rs`, `motion/stand.rs` | hold, resume, speed: changed in flight; raw moves stand still |
+//! | `planner/brake.rs` | how each axis slows down if the planner does not come back |
+//! | [`driver`] | what drivers demand, by name |
 //! | `motion/drive.rs`, `planner/ways.rs` | axes that are driven each by itself |
 //! | `motion/inputs.rs`, `motion/homing.rs` | switches: limits, and the way to a reference |
 //! | `motion/reach.rs` | soft limits |
@@ -37,14 +39,16 @@
 //!   follow each other without a gap; all axes keep one timeline.
 //! - A ramp takes the time of the closed form, to the tick. Speed, acceleration and jerk never
 //!   exceed what was asked for; at a corner of a path the speed of an axis jumps by
-//!   [`AxisProfile::junction_hz`] at most.
+//!   [`AxisProfile::junction_hz`] at most, and a curve of short lines turns no axis harder than their
+//!   acceleration.
 //! - The position is exact at every instant: the ledger counts active edges that have left the pin,
 //!   also when a stop cuts a block short.
 //! - A change in flight takes effect behind what the hardware holds: 2 ms at most.
 //! - A hold costs no step and no tick: a path slows down and goes on by its own limits, raw moves
 //!   stand still on one tick of all axes and go on from it.
-//! - What is planned ends at rest. A planner that comes too late in the middle of a path is a fault;
-//!   nothing goes on from there by itself.
+//! - What is planned ends at rest. A planner that comes too late in the middle of a path finds the
+//!   axes at rest: each has slowed down by the path's acceleration on the brake that was left with
+//!   what is written. That is a fault; nothing goes on from there by itself.
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.
 //!
@@ -58,6 +62,7 @@
 pub mod axis;
 pub mod backend;
 pub mod counterparts;
+pub mod driver;
 pub mod encoder;
 pub mod io;
 pub mod law;
@@ -79,6 +84,7 @@ mod steps;
 
 pub use axis::Axis;
 pub use backend::{CdBackend, StepBackend};
+pub use driver::Driver;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{

@@ -1,6 +1,7 @@
 //! What a motor driver demands of its step and direction inputs, and how its axis may stop.
 
 use crate::{
+    driver::{Driver, Needs},
     law::speed_from_hz,
     limits::{
         HOLD_TICKS_MAX, PART_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, SETUP_TICKS_MAX, TICK_HZ,
@@ -52,32 +53,39 @@ impl Default for AxisProfile {
 impl AxisProfile {
     /// Allegro A4988 (data sheet; LinuxCNC's stepper table): 500 kHz at most.
     pub fn a4988() -> Self {
-        Self::of_driver(1_000, 1_000, 200, 200)
+        Self::of_driver(Driver::A4988)
     }
 
     /// TI DRV8825 (data sheet; LinuxCNC's stepper table): 263 kHz at most.
     pub fn drv8825() -> Self {
-        Self::of_driver(1_900, 1_900, 650, 650)
+        Self::of_driver(Driver::Drv8825)
     }
 
     /// Trinamic TMC22xx and TMC51xx (data sheet; Klipper's default pulse): 5 MHz at most.
     pub fn tmc2209() -> Self {
-        Self::of_driver(100, 100, 20, 20)
+        Self::of_driver(Driver::Tmc22xx)
     }
 
     /// Leadshine DM556, DM856 (LinuxCNC's stepper table): 200 kHz at most.
     pub fn dm556() -> Self {
-        Self::of_driver(2_500, 2_500, 5_000, 10_000)
+        Self::of_driver(Driver::Dm556)
     }
 
-    fn of_driver(high_ns_min: u32, low_ns_min: u32, dir_setup_ns: u32, dir_hold_ns: u32) -> Self {
+    /// What a driver demands: the table in [`Driver`].
+    pub fn of_driver(driver: Driver) -> Self {
+        let Needs {
+            high_ns,
+            low_ns,
+            hold_ns,
+            setup_ns,
+        } = driver.needs();
         let default = Self::default();
         Self {
-            high_ns_min,
-            low_ns_min,
-            high_ns: default.high_ns.max(high_ns_min),
-            dir_setup_ns,
-            dir_hold_ns,
+            high_ns_min: high_ns,
+            low_ns_min: low_ns,
+            high_ns: default.high_ns.max(high_ns),
+            dir_setup_ns: setup_ns,
+            dir_hold_ns: hold_ns,
             ..default
         }
     }

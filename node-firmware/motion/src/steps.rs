@@ -204,10 +204,11 @@ impl<const AXES: usize> Steps<AXES> {
         }
     }
 
-    /// Returns how many edges of an axis are not put into segments; the last one may wait beside.
-    pub(crate) fn left(&self, axis: usize) -> u64 {
+    /// Returns how many edges of an axis up to its edge `whole`, or to its last one, are not put into
+    /// segments; the last one may wait beside.
+    pub(crate) fn left(&self, axis: usize, whole: u64) -> u64 {
         let cursor = self.cursors[axis].as_ref();
-        cursor.map_or(0, |cursor| cursor.last + 1 - cursor.next)
+        cursor.map_or(0, |cursor| cursor.last.max(whole) + 1 - cursor.next)
     }
 
     /// Begins this much later.

@@ -605,3 +605,92 @@ fn an_s_curve_changed_in_flight_keeps_its_limits_and_ends_where_it_should() {
     }
     assert!(short < 3_000, "{short}");
 }
+
+/// R15: one step at 1,000 steps/s² takes √(4/1000) s, and its edge is in the middle of that.
+#[test]
+fn a_single_step_has_its_edge_in_the_middle_of_its_time() {
+    let path = ideal(1, 1_000, 1_000, TRAPEZOID);
+    lasts(&path, 0.063_245_6);
+    assert!((edge_ms(&path, 1) - 31.622_8).abs() < 1e-4);
+}
+
+/// R21: LinuxCNC's own expected file of its test `stepgen.0`, a sample each 100 µs.
+#[test]
+fn the_edges_of_linuxcnc_are_within_three_of_its_samples() {
+    let path = ideal(1_280, 4_800, 64_000, TRAPEZOID);
+    lasts(&path, 0.341_667);
+    let first = [39, 68, 88, 104, 118, 131, 142, 153, 163, 172];
+    let others = [(640, 1_707), (1_271, 3_246), (1_279, 3_351), (1_280, 3_380)];
+    let early = (1..)
+        .zip(first)
+        .map(|(number, sample)| (number, sample, 1.0));
+    let late = others.map(|(number, sample)| (number, sample, 3.0));
+    for (number, sample, most) in early.chain(late) {
+        let off = edge_ms(&path, number) * 10.0 - f64::from(sample);
+        assert!(off.abs() <= most, "edge {number}: {off} samples off");
+    }
+}
+
+/// R22: LinuxCNC's `limit3`, a semi-implicit Euler sum with a step of 1 ms, which is ahead of the
+/// ideal by half a step of its speed.
+#[test]
+fn the_places_of_linuxcncs_limiter_are_those_of_the_path_half_a_sample_later() {
+    let path = ideal(160, 500, 1_000, TRAPEZOID);
+    lasts(&path, 0.8);
+    let place = |sample: f64| double(path.state_at(Real::of((sample * 16_000.0) as u64)).place);
+    for (sample, expected) in [(1.0, 0.001), (2.0, 0.003), (3.0, 0.006), (4.0, 0.010)] {
+        // n·(n + 1)/2 instead of n²/2 thousandths.
+        assert!((place(sample) + sample / 2_000.0 - expected).abs() < 1e-9);
+    }
+    // There it slows down already: the sum has passed its own peak.
+    assert!((place(400.5) - 80.599).abs() < 0.41, "{}", place(400.5));
+    assert!((place(798.0) - 160.0).abs() < 0.003, "{}", place(798.0));
+    let peak = double(path.state_at(Real::of(6_400_000)).speed * Real::of(16_000_000));
+    assert!((peak - 400.0).abs() < 1e-6, "{peak} Hz");
+}
+
+/// R31: from -2·10⁹ to 2·10⁹ are 4·10⁹ steps: no count wraps.
+#[test]
+fn a_way_of_more_than_32_bits_is_gone_in_full() {
+    let path = ideal(4_000_000_000, 200_000, 100_000, TRAPEZOID);
+    // 2 s and 200,000 steps at each end.
+    lasts(&path, 4.0 + (4e9 - 400_000.0) / 200_000.0);
+    assert_eq!(path.end_steps().rounded(), 4_000_000_000);
+}
+
+/// A move that ends at speed is one that begins with it, backwards in time: start and end speed may
+/// differ.
+#[test]
+fn a_move_may_end_at_another_speed_than_it_begins_with() {
+    for shape in [TRAPEZOID, linear(100), jerk(1_000)] {
+        let law = Law::new(1_000, shape);
+        let (slow, fast, most) = (speed_from_hz(200), speed_from_hz(300), speed_from_hz(700));
+        let at = |speed: Real| State {
+            speed,
+            ..State::REST
+        };
+        let way = Real::of(1_000);
+        for (from, to) in [(Real::ZERO, fast), (slow, fast), (fast, slow)] {
+            let path = Path::plan(at(from), way, to, most, &law).expect("there is way enough");
+            let back = Path::plan(at(to), way, from, most, &law).expect("there is way enough");
+            let end = path.end_state();
+            assert!((end.speed - to).abs() * Real::of(1 << 40) < Real::of(1));
+            assert!((end.place - way).abs() * Real::of(1 << 20) < Real::of(1));
+            lasts(&path, seconds(&back));
+        }
+    }
+    // From rest to 300 Hz over 145 steps by 1,000/s² up to 700 Hz: (2·v² - 300²)/2a of 145 steps.
+    let law = Law::new(1_000, TRAPEZOID);
+    let path = Path::plan(
+        State::REST,
+        Real::of(145),
+        speed_from_hz(300),
+        speed_from_hz(700),
+        &law,
+    );
+    let peak = ((2.0 * 1_000.0 * 145.0 + 300.0_f64.powi(2)) / 2.0).sqrt();
+    lasts(
+        &path.expect("45 are enough"),
+        (2.0 * peak - 300.0) / 1_000.0,
+    );
+}

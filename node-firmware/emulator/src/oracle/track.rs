@@ -32,8 +32,15 @@ pub(super) struct Point {
     pub(super) main: bool,
 }
 
-/// Where a path is changed, two edges may be so much farther off.
+/// Where a path is changed, two edges may be so much farther off, on top of [`EDGE_TICKS`]: between
+/// them may lie a rest that is shorter than a word of the pulse hardware (4 ticks), which is made
+/// none or a whole word, whichever is nearer. The record does not tell where the change took effect, so
+/// every edge of the path is given that.
 const CHANGE_TICKS: f64 = 2.0;
+
+/// Shortest time over which the speed of a stopped path is measured, ticks: a tick at both ends is
+/// 1 ‰.
+const SPEED_TICKS_MIN: f64 = 2_000.0;
 
 /// Where and when, in words.
 pub(super) type Fault = (f64, String);
@@ -398,9 +405,17 @@ impl<'p> Track<'p> {
         let hz = TICK_HZ as f64;
         let begin = stopped.at + self.limits.stop_begin_ticks as f64;
         let mains: Vec<_> = points.iter().filter(|point| point.main).collect();
-        let pair = mains.windows(2).rfind(|pair| pair[0].at <= begin)?;
-        let speed = (pair[1].place - pair[0].place) * hz / (pair[1].at - pair[0].at);
-        let apart_s = (pair[1].at - pair[0].at) / hz;
+        let first = mains[..mains.len().saturating_sub(1)]
+            .iter()
+            .rposition(|point| point.at <= begin)?;
+        // Over so long that a tick does not matter: the speed before is no lower.
+        let (from, behind) = (mains[first], &mains[first + 1..]);
+        let long = |point: &&&Point| point.at >= from.at + SPEED_TICKS_MIN;
+        let to = behind.iter().find(long).or(behind.last())?;
+        let pair = [from, to];
+        let speed = (to.place - from.place) * hz / (to.at - from.at);
+        let apart = behind.first()?.at - from.at;
+        let apart_s = apart / hz;
         let fall_s = |(leg, piece): (&Leg, &Piece)| {
             let share = piece.tool / piece.most;
             fall_s(piece, (speed + leg.accel * apart_s) / share)

@@ -14,12 +14,7 @@ impl Encoder {
         if self.stopping_mhz.is_some() {
             return;
         }
-        let moves = self.steps_left > 0 || (goes_on && !self.resting);
-        let speed_mhz = if moves && self.interval_ticks > 0 {
-            1_000 * TICK_HZ / self.interval_ticks
-        } else {
-            0
-        };
+        let speed_mhz = self.moving_mhz(goes_on);
         if speed_mhz * speed_mhz < self.lost_speed() {
             // No step follows, so nobody need wait for its time: that may be an hour.
             self.low_ticks = 0;
@@ -29,6 +24,29 @@ impl Encoder {
         self.turn = Turn::None;
         self.stopping_mhz = Some(speed_mhz);
         self.trend = Trend::NONE;
+    }
+
+    /// Returns how many steps [`Encoder::decelerate`] would make from here, or still will. It
+    /// computes with whole mHz, rounded down, and may make a few in ten thousand less.
+    pub(crate) fn steps_to_rest(&self, goes_on: bool, steps_ahead: u64) -> u64 {
+        let (speed_mhz, most) = match self.stopping_mhz {
+            Some(speed_mhz) => (speed_mhz, self.stopping_steps_max),
+            None => (
+                self.moving_mhz(goes_on),
+                u64::from(self.steps_left) + steps_ahead,
+            ),
+        };
+        (speed_mhz * speed_mhz / self.lost_speed()).min(most)
+    }
+
+    /// Returns the speed that a controlled stop begins with, mHz.
+    fn moving_mhz(&self, goes_on: bool) -> u64 {
+        let moves = self.steps_left > 0 || (goes_on && !self.resting);
+        if moves && self.interval_ticks > 0 {
+            1_000 * TICK_HZ / self.interval_ticks
+        } else {
+            0
+        }
     }
 
     /// Takes how to slow down if the plan ends in full run; `None`: it ends where it shall.

@@ -229,8 +229,12 @@ impl<B: StepBackend> Motion<'_, B> {
     }
 
     /// Returns the way from here to rest if what is under way slowed down now: steps of the longest
-    /// axis of the ramp or line, or of the drive that needs most; 0 if none is under way.
+    /// axis of the ramp or line, of the drive that needs most, or of the raw move that does, by its
+    /// profile's deceleration; 0 at rest.
     pub fn steps_to_stop(&mut self) -> u64 {
+        if !self.is_driving() && !self.planner.has_path() {
+            return self.raw_steps_to_stop();
+        }
         let (started_at, now) = (self.started_at.0, self.now.0);
         let axes = &self.backend.axes()[..self.axis_count];
         let path = self.planner.way_to_stop(axes, started_at, now);
@@ -240,6 +244,23 @@ impl<B: StepBackend> Motion<'_, B> {
         });
         let most = ways.max().unwrap_or(0).max(path.rounded());
         u64::try_from(most).unwrap_or(0)
+    }
+
+    /// Raw moves are slowed down in the encoder, behind what the hardware holds.
+    fn raw_steps_to_stop(&mut self) -> u64 {
+        let count = self.axis_count;
+        let played = (0..count).map(|axis| self.backend.played_steps(AxisId(axis as u8)));
+        let mut played_steps = [0; CHANNELS];
+        played_steps
+            .iter_mut()
+            .zip(played)
+            .for_each(|(to, from)| *to = from);
+        let axes = &self.backend.axes()[..count];
+        let ways = axes.iter().zip(played_steps).map(|(axis, played)| {
+            let held = axis.ledger().booked_steps().abs_diff(played);
+            held.saturating_add(axis.steps_to_rest())
+        });
+        ways.max().unwrap_or(0)
     }
 
     /// All drives come to rest; nothing of them goes on.

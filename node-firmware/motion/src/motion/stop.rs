@@ -1,6 +1,6 @@
 //! The one stop: from every state to rest, at once or on the path.
 
-use super::{Barrier, Hold, Motion, MotionEvent, Phase, outputs::Laser};
+use super::{Barrier, Hold, Motion, MotionEvent, Phase, TOLD_MAX, outputs::Laser};
 use crate::{
     StepBackend, Ticks,
     limits::{CHANNELS, TICK_HZ},
@@ -13,8 +13,9 @@ impl<B: StepBackend> Motion<'_, B> {
     /// returns, [`StopMode::Decelerate`] when [`Motion::poll`] says [`MotionEvent::Stopped`].
     pub fn stop(&mut self, mut mode: StopMode, now: Ticks) {
         // What belongs to the time before the stop happened before it. Of its events only what is
-        // wrong still matters, and what the stop pin says.
+        // wrong still matters, and what the pins say and are to show.
         let mut missed = None;
+        let mut kept: heapless::Vec<MotionEvent, TOLD_MAX> = heapless::Vec::new();
         while let Some(event) = self.poll(now) {
             match event {
                 MotionEvent::Limit { .. } => {
@@ -27,6 +28,16 @@ impl<B: StepBackend> Motion<'_, B> {
                 | MotionEvent::StopInput { .. } => {
                     missed = Some(event);
                     break;
+                }
+                MotionEvent::Probe { .. }
+                | MotionEvent::Output(_)
+                | MotionEvent::ShiftOut { .. }
+                | MotionEvent::ShiftFault(_) => {
+                    // Cannot fail: it ends before it is full, and later calls tell the rest.
+                    let _ = kept.push(event);
+                    if kept.len() + 1 == TOLD_MAX {
+                        break;
+                    }
                 }
                 MotionEvent::Fault(code) => {
                     self.fault = Some(code);
@@ -44,7 +55,8 @@ impl<B: StepBackend> Motion<'_, B> {
                 _ => {}
             }
         }
-        missed.into_iter().for_each(|event| self.tell(event));
+        let told = kept.into_iter().chain(missed);
+        told.for_each(|event| self.tell(event));
         self.homing = None;
         self.station = false;
         self.lidar_until = None;

@@ -59,7 +59,7 @@ impl Planner {
     pub(crate) fn leave_way_brakes(&mut self, axes: &mut [Axis]) {
         self.braked = false;
         for (index, axis) in axes.iter_mut().enumerate() {
-            let way = self.ways[index].left(&self.stretches[room_of(index)]);
+            let way = self.ways[index].left(&self.stretches[room_of(index)], index);
             self.braked |= way.is_some();
             axis.set_brake(way.map(|(stretch, left)| Brake {
                 accel_hz_per_s: accel_of(&stretch.line, index),
@@ -74,8 +74,15 @@ impl Planner {
             let steps = line.steps[index];
             (steps != 0 && Direction::of(steps) == direction).then_some(steps.unsigned_abs())
         };
+        let whole = |place: usize| {
+            let stretch = self.stretches[place].as_ref();
+            stretch.map_or(0, |stretch| stretch.whole_steps(index))
+        };
         let (stretch, left) = match (&self.steps, self.left) {
-            (Some(steps), _) => (self.writing.checked_sub(1)?, steps.left(index)),
+            (Some(steps), _) => {
+                let place = self.writing.checked_sub(1)?;
+                (place, steps.left(index, whole(place)))
+            }
             // The last line is written, and left at speed.
             (None, Some(_)) => (self.count.checked_sub(1)?, 0),
             (None, None) => return None,

@@ -132,6 +132,15 @@ impl Stretch {
         )
     }
 
+    /// Returns the edges of an axis up to which its line goes on behind what it was left for; 0: not
+    /// farther than here.
+    pub(super) fn whole_steps(&self, index: usize) -> u64 {
+        match (self.goal, self.until) {
+            (Goal::Leave(_), Some(_)) => self.line.steps[index].unsigned_abs(),
+            _ => 0,
+        }
+    }
+
     /// The same for one axis alone.
     pub(super) fn steps_of(&self, index: usize, path: &Path, timing: &[Timing]) -> Steps<1> {
         let line = &self.line;

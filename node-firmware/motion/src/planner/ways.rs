@@ -171,10 +171,14 @@ impl Way {
 
     /// Returns the stretch that is being written, and how many of its edges are left; `None`: all
     /// are written, to rest.
-    pub(super) fn left<'r>(&self, room: &'r [Option<Stretch>]) -> Option<(&'r Stretch, u64)> {
+    pub(super) fn left<'r>(
+        &self,
+        room: &'r [Option<Stretch>],
+        index: usize,
+    ) -> Option<(&'r Stretch, u64)> {
         let steps = self.steps.as_ref()?;
         let stretch = room[self.writing.checked_sub(1)?].as_ref()?;
-        Some((stretch, steps.left(0)))
+        Some((stretch, steps.left(0, stretch.whole_steps(index))))
     }
 
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
