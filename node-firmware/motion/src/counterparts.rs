@@ -24,7 +24,7 @@
 //! | `setEnablePin`, two pins, low- and high-active; shared pins; `getEnablePinHighActive`, `getEnablePinLowActive` | [`MotionConfig::enables`], [`io::enable::EnableConfig`] | shared by any set of axes |
 //! | `enableOutputs`, `disableOutputs` (false while it runs) | [`Motion::enable`], [`Motion::disable`] | the same |
 //! | `setAutoEnable`, `setDelayToEnable`, `setDelayToDisable` (several ms of jitter) | [`EnableConfig::delay_on_us`], [`EnableConfig::delay_off_ms`] | the delays are instants to the tick; all axes of the queue go together |
-//! | a step's high time is half its interval, 2 ms at most | [`AxisProfile::high_ns`], [`AxisProfile::high_ns_min`], [`AxisProfile::low_ns_min`] | minima of the driver, with profiles such as [`AxisProfile::drv8825`] |
+//! | a step's high time is half its interval, 2 ms at most | [`AxisProfile::high_ns`], [`AxisProfile::high_ns_min`], [`AxisProfile::low_ns_min`] | minima of the driver, with the profiles of seventeen in [`Driver`] |
 //!
 //! # Position and speed
 //!
@@ -113,7 +113,7 @@
 //! [`AxisProfile`]: crate::AxisProfile
 //! [`AxisProfile::dir_hold_ns`]: crate::AxisProfile::dir_hold_ns
 //! [`AxisProfile::dir_setup_ns`]: crate::AxisProfile::dir_setup_ns
-//! [`AxisProfile::drv8825`]: crate::AxisProfile::drv8825
+//! [`Driver`]: crate::Driver
 //! [`AxisProfile::high_ns`]: crate::AxisProfile::high_ns
 //! [`AxisProfile::high_ns_min`]: crate::AxisProfile::high_ns_min
 //! [`AxisProfile::low_ns_min`]: crate::AxisProfile::low_ns_min

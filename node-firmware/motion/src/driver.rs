@@ -104,7 +104,7 @@ impl Driver {
         match self {
             Self::A4988 => "a4988",
             Self::Drv8825 => "drv8825",
-            Self::Tmc22xx => "tmc22xx",
+            Self::Tmc22xx => "tmc2209",
             Self::Tb6560 => "tb6560",
             Self::Tb6600 => "tb6600",
             Self::Gecko201 => "gecko201",

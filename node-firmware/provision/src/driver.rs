@@ -1,7 +1,7 @@
-//! Drivers by name: what they demand is in [`motion::AxisProfile`].
+//! Drivers by name: what they demand is in [`motion::Driver`].
 
 use crate::record::AxisSettings;
-use motion::AxisProfile;
+use motion::{AxisProfile, Driver};
 
 /// Longest that a part of a step may be told to last, ns: 15 bits of ticks, as an RMT word has them.
 pub const PART_NS_MAX: u32 = 2_000_000;
@@ -9,20 +9,21 @@ pub const PART_NS_MAX: u32 = 2_000_000;
 /// Longest that a change of direction may be told to keep away from a step, ns: what motion waits at most.
 pub const DIRECTION_NS_MAX: u32 = 200_000;
 
-/// The drivers that have a name.
-pub const NAMES: [&str; 5] = ["default", "a4988", "drv8825", "tmc2209", "dm556"];
+/// What suits most drivers.
+const DEFAULT: &str = "default";
+
+/// Returns the names that there are.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    core::iter::once(DEFAULT).chain(Driver::ALL.into_iter().map(Driver::name))
+}
 
 impl AxisSettings {
     /// Returns what a driver of this name demands.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         let profile = match name {
-            "default" => AxisProfile::default(),
-            "a4988" => AxisProfile::a4988(),
-            "drv8825" => AxisProfile::drv8825(),
-            "tmc2209" => AxisProfile::tmc2209(),
-            "dm556" => AxisProfile::dm556(),
-            _ => return None,
+            DEFAULT => AxisProfile::default(),
+            _ => AxisProfile::of_driver(name.parse().ok()?),
         };
         Some(Self::from(profile))
     }
@@ -46,10 +47,10 @@ mod tests {
 
     #[test]
     fn every_name_is_a_legal_driver_and_no_two_are_the_same() {
-        for (index, name) in NAMES.iter().enumerate() {
+        for (index, name) in names().enumerate() {
             let driver = AxisSettings::named(name).expect("it is in the list");
             assert!(driver.is_legal(), "{name}");
-            for other in &NAMES[..index] {
+            for other in names().take(index) {
                 assert_ne!(AxisSettings::named(other), Some(driver), "{name} {other}");
             }
         }

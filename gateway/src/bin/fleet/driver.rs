@@ -57,7 +57,7 @@ pub(crate) fn read(text: &str) -> Result<Driver, String> {
         let numbers = NUMBERS.map(|(name, _)| name).join(", ");
         format!(
             "no AXIS=DRIVER,NAME=NUMBER,… with one of {}; {numbers}, inverted",
-            driver::NAMES.join(", ")
+            driver::names().collect::<Vec<_>>().join(", ")
         )
     })
 }
@@ -70,10 +70,10 @@ pub(crate) fn lines(axes: &[AxisSettings]) -> Vec<(&'static str, String)> {
 
 /// Names it by the driver from which it differs least.
 fn named(axis: usize, settings: &AxisSettings) -> String {
-    let words = |name: &&str| {
+    let words = |name: &str| {
         let mut known = AxisSettings::named(name).expect("it is in the list");
         let mut told = *settings;
-        let mut words = vec![(*name).to_owned()];
+        let mut words = vec![name.to_owned()];
         for (name, of) in NUMBERS {
             let number = *of(&mut told);
             if *of(&mut known) != number {
@@ -85,7 +85,7 @@ fn named(axis: usize, settings: &AxisSettings) -> String {
         }
         words
     };
-    let nearest = driver::NAMES.iter().map(words).min_by_key(Vec::len);
+    let nearest = driver::names().map(words).min_by_key(Vec::len);
     format!("{axis}={}", nearest.unwrap_or_default().join(","))
 }
 

@@ -100,8 +100,8 @@ pub(crate) struct Provision {
     #[arg(long)]
     no_switches: bool,
 
-    /// What the driver of an axis demands: AXIS=DRIVER with a4988, drv8825, tmc2209, dm556 or default, and
-    /// what differs behind it, as in `0=tmc2209` or `1=drv8825,setup=1000,inverted`: high, low (shortest),
+    /// What the driver of an axis demands: AXIS=DRIVER with a4988, tmc2209, dm556, … or default (a wrong
+    /// name lists them all), and what differs behind it, as in `0=tmc2209` or `1=drv8825,setup=1000,inverted`: high, low (shortest),
     /// pulse (high time of slow steps), setup, hold (of the direction), all in ns; stop (steps/s² of a stop
     /// of raw moves), corner (Hz that the speed may jump). What is not named is as that driver has it. May
     /// be repeated.
