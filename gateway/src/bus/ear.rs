@@ -226,14 +226,15 @@ impl Ear {
     /// Takes a put.
     pub(super) fn put(&self, sample: &Sample) {
         let at = self.clock.now();
-        if sample.kind() != SampleKind::Put {
-            return;
-        }
         let key = sample.key_expr().as_str();
         if self.door == Door::Node(NodeTopic::Stop) {
+            // Whatever comes on this key stops, also a value that is deleted: so nodes take it.
             let mode = Stop::from_payload(&sample.payload().to_bytes()).mode;
             let pattern = stop_pattern(&self.keys, key);
             return self.inbox.urgent(Event::Stop { pattern, mode });
+        }
+        if sample.kind() != SampleKind::Put {
+            return;
         }
         let Some(name) = self.door.name(&self.keys, key) else {
             tracing::debug!(key, "a put on a key that only includes ours");
