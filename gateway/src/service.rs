@@ -21,6 +21,7 @@ use crate::{
         Arrived, Inbox, Outlets, WallClock,
         owners::Owners,
         store_failed,
+        urgent::Intake,
         zenoh::{Bus, BusError},
     },
     config::GatewayConfig,
@@ -252,7 +253,6 @@ impl Service {
         let (stop_fleet, fleet_stopping) = watch::channel(false);
         let store_failed = Arc::new(AtomicBool::new(false));
         let Outlets {
-            urgent,
             events,
             events_sender,
             jobs,
@@ -280,7 +280,7 @@ impl Service {
             keys: config.keys.clone(),
         };
         task.carry_out(effects).await;
-        let fleet = tokio::spawn(task.run(urgent, events, asked, fleet_stopping));
+        let fleet = tokio::spawn(task.run(events, asked, fleet_stopping));
         let (reading, read) = mpsc::channel(READERS_MAX);
         let (machines, known_machines) = watch::channel(Arc::new(config.machines.clone()));
         let reader = tokio::spawn(read_jobs(jobs, reading, known_machines, jobs_stopping));
@@ -458,8 +458,7 @@ struct FleetTask {
 impl FleetTask {
     async fn run(
         mut self,
-        mut urgent: mpsc::Receiver<Event>,
-        mut events: mpsc::Receiver<Arrived>,
+        mut events: Intake,
         mut asked: mpsc::Receiver<oneshot::Sender<Snapshot>>,
         mut stopping: watch::Receiver<bool>,
     ) -> Remaining {
@@ -476,25 +475,17 @@ impl FleetTask {
                     None => std::future::pending().await,
                 }
             };
-            let (arrived, may_wait) = tokio::select! {
+            let arrived = tokio::select! {
                 biased;
-                Some(event) = urgent.recv() => (event.into(), false),
-                Some(arrived) = events.recv() => (arrived, true),
+                arrived = events.next() => arrived,
                 _ = stopping.wait_for(|stop| *stop) => return Remaining::of(&self.fleet),
                 Some(answer) = asked.recv() => {
                     // Whoever asked may have left.
                     let _ = answer.send(Snapshot::of(&self.fleet));
                     continue;
                 }
-                () = due => (Event::Tick.into(), true),
+                () = due => Event::Tick.into(),
             };
-            if may_wait {
-                // A stop may have come between the two looks, and before this event: the release
-                // behind it must not overtake it.
-                while let Ok(event) = urgent.try_recv() {
-                    self.handle(event.into()).await;
-                }
-            }
             self.handle(arrived).await;
         }
     }

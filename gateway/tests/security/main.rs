@@ -5,6 +5,7 @@
 //! the operator's, does something that is allowed, and when that has come to pass the attempt has
 //! been passed over.
 
+mod limits;
 mod plant;
 mod stops;
 
