@@ -402,16 +402,22 @@ impl Service {
 }
 
 /// Returns whose signatures count: those that the configuration names, and those of the secured
-/// fleet.
-fn signers(config: &GatewayConfig) -> Result<Vec<[u8; 32]>, BusError> {
+/// fleet; `None`: jobs need none.
+fn signers(config: &GatewayConfig) -> Result<Option<Vec<[u8; 32]>>, BusError> {
     let mut signers = config.fleet.signers.clone();
-    if let Some(folder) = &config.secure {
-        let home = Home::open(folder)?;
-        signers.extend(home.signers()?.iter().map(|signer| signer.key.0));
+    if let Some(folder) = &config.secure
+        && let Some(of_home) = Home::open(folder)?.signing()?
+    {
+        let of_home = of_home.iter().map(|signer| signer.key.0);
+        signers.get_or_insert_default().extend(of_home);
     }
-    if !signers.is_empty() {
-        let keys = signers.len();
-        tracing::info!(keys, "only jobs that an operator has signed are taken");
+    match signers.as_ref().map(Vec::len) {
+        None => {}
+        Some(0) => tracing::warn!(
+            "nobody's signature counts, so no job is taken: `fleet keys DIR new NAME` makes a key, \
+             `fleet keys DIR off` lets jobs without signature in again"
+        ),
+        Some(keys) => tracing::info!(keys, "only jobs that an operator has signed are taken"),
     }
     Ok(signers)
 }

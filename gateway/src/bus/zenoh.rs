@@ -35,7 +35,7 @@ use crate::{
     journal::copy::Copier,
     security::{Home, HomeError},
 };
-use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError};
+use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
 use std::{
     net::{SocketAddr, TcpListener},
     path::PathBuf,
@@ -660,7 +660,7 @@ fn gateway_entry(file: &PathBuf) -> Result<Credentials, BusError> {
         path: file.clone(),
         reason,
     };
-    let text = std::fs::read_to_string(file).map_err(|error| users(error.to_string()))?;
+    let text = secret::read(file).map_err(|error| users(error.to_string()))?;
     text.lines()
         .filter_map(|line| line.split_once(':'))
         .find(|(user, _)| user.trim() == GATEWAY_USER_DEFAULT)

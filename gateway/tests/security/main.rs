@@ -7,6 +7,7 @@
 
 mod limits;
 mod plant;
+mod revoked;
 mod stops;
 
 use emulator::wall;

@@ -22,7 +22,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 pub(crate) struct Plant {
     pub(crate) service: Service,
     pub(crate) home: Home,
-    _folder: tempfile::TempDir,
+    pub(crate) folder: tempfile::TempDir,
 }
 
 pub(crate) async fn in_time<T>(what: impl IntoFuture<Output = T>) -> T {
@@ -84,7 +84,7 @@ impl Plant {
         Self {
             service: in_time(Service::start(config)).await.expect("started"),
             home,
-            _folder: folder,
+            folder,
         }
     }
 
