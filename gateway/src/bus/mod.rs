@@ -57,7 +57,8 @@ pub const JOBS_WAITING_KIB_MAX: usize = 4 * keys::job::JOB_BYTES_MAX / 1_024;
 /// Gets that wait for their last reply.
 pub const GETS_OPEN_MAX: usize = 4_096;
 
-/// The gateway's clock: UTC at the start, and from there on time that never goes back.
+/// The gateway's clock: UTC at the start, and from there on time that never goes back. What becomes of it
+/// when the wall is set: see [`clock_watch`](crate::clock_watch).
 #[derive(Clone, Copy, Debug)]
 pub struct WallClock {
     started_at_us: u64,
@@ -74,6 +75,13 @@ impl WallClock {
             started_at_us: since_epoch.as_micros() as u64,
             started: Instant::now(),
         }
+    }
+
+    /// Returns how far the wall is ahead now, µs; negative: behind. Not zero after it was set, or after
+    /// a sleep of the machine.
+    pub fn wall_ahead_us(&self) -> i64 {
+        let wall = Self::start().started_at_us;
+        wall.cast_signed() - self.now().0.cast_signed()
     }
 
     /// Returns the time now.
