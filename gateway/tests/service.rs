@@ -430,7 +430,8 @@ async fn a_gateway_that_begins_anew_in_its_process_is_found_where_it_was() {
         let before = where_it_was.replace(config.listen.clone());
         assert!(before.is_none_or(|before| before == config.listen));
         let client = in_time(client(&config.listen[0], None)).await;
-        in_time(client.expect("connected").close())
+        let client = client.expect("connected");
+        in_time(async { client.close().await })
             .await
             .expect("closed");
         in_time(service.shutdown()).await.expect("a clean end");

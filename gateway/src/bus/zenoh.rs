@@ -38,7 +38,7 @@ use crate::{
 use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
 use std::{
     net::{SocketAddr, TcpListener},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -655,9 +655,9 @@ fn reachable(locator: &str) -> String {
 }
 
 /// Returns the gateway's own line of the users file.
-fn gateway_entry(file: &PathBuf) -> Result<Credentials, BusError> {
+fn gateway_entry(file: &Path) -> Result<Credentials, BusError> {
     let users = |reason: String| BusError::Users {
-        path: file.clone(),
+        path: file.to_owned(),
         reason,
     };
     let text = secret::read(file).map_err(|error| users(error.to_string()))?;
