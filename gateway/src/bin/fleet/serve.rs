@@ -25,9 +25,9 @@ pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> R
             observer,
         } = ready;
         supervisor::ready(&locators.join(", "), observer);
-        // Not among what programs read, and whatever they read: somebody has to see it.
+        // In the log and not among what programs read, whatever they read: somebody has to see it.
         if let Some(warning) = warning {
-            eprintln!("fleet: {warning}");
+            tracing::warn!("{warning}");
         }
         if json {
             let ready = serde_json::json!({ "ready": true, "locators": locators, "http": http });
