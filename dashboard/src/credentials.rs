@@ -1,11 +1,7 @@
 //! The file that says where the router is, as whom to come, and whose certificates to trust.
 
-use anyhow::{Context as _, bail};
 use keys::credentials::Credentials;
-use std::{fs::File, io::Read as _, path::Path};
-
-/// Largest file that is read, bytes: a certificate chain has a few thousand.
-const BYTES_MAX: u64 = 1 << 20;
+use std::path::Path;
 
 /// Reads a credentials file that nobody but its owner may read.
 ///
@@ -13,44 +9,8 @@ const BYTES_MAX: u64 = 1 << 20;
 /// It cannot be read, others may read it, or it holds no credentials. The words hold nothing of
 /// its content.
 pub fn read(path: &Path) -> anyhow::Result<Credentials> {
-    let text = read_secret(path)?;
+    let text = keys::secret::read(path)?;
     Credentials::from_json(&text).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))
-}
-
-/// Reads a file that nobody but its owner may read.
-fn read_secret(path: &Path) -> anyhow::Result<String> {
-    let name = path.display();
-    let file = File::open(path).with_context(|| format!("{name}"))?;
-    // Of the opened file: the name may be another one's a moment later.
-    check_private(path, &file)?;
-    let mut text = String::new();
-    let mut bounded = file.take(BYTES_MAX + 1);
-    let read = bounded.read_to_string(&mut text);
-    read.with_context(|| format!("{name}"))?;
-    if text.len() as u64 > BYTES_MAX {
-        bail!("{name}: larger than {BYTES_MAX} bytes");
-    }
-    Ok(text)
-}
-
-#[cfg(unix)]
-fn check_private(path: &Path, file: &File) -> anyhow::Result<()> {
-    use std::os::unix::fs::PermissionsExt as _;
-    let name = path.display();
-    let metadata = file.metadata().with_context(|| format!("{name}"))?;
-    let mode = metadata.permissions().mode() & 0o777;
-    if mode & 0o077 != 0 {
-        bail!(
-            "{name}: others may read it (mode {mode:03o}); it holds a password: chmod 600 {name}"
-        );
-    }
-    Ok(())
-}
-
-#[cfg(not(unix))]
-fn check_private(_path: &Path, _file: &File) -> anyhow::Result<()> {
-    // The lists of other systems are inherited from the folder.
-    Ok(())
 }
 
 #[cfg(all(test, unix))]

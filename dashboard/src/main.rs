@@ -112,13 +112,7 @@ fn checked(locator: &str) -> anyhow::Result<String> {
 }
 
 fn password(file: &Path) -> anyhow::Result<String> {
-    let name = file.display();
-    let text = std::fs::read_to_string(file).with_context(|| format!("--password-file {name}"))?;
-    let password = text.trim_end_matches(['\r', '\n']);
-    if password.is_empty() {
-        bail!("--password-file {name}: the file is empty");
-    }
-    Ok(password.to_owned())
+    keys::secret::read_password(file).context("--password-file")
 }
 
 #[cfg(test)]

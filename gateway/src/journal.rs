@@ -365,6 +365,7 @@ fn guarded<T>(
 
 /// Opens a file, or makes it, and reads all its pages: opening alone believes them.
 fn open_checked(path: &Path) -> Result<Database, JournalError> {
+    make_private(path).map_err(|error| open_error(path, redb::StorageError::Io(error).into()))?;
     let mut database = Database::builder()
         .set_cache_size(CACHE_BYTES)
         .create(path)
@@ -377,6 +378,19 @@ fn open_checked(path: &Path) -> Result<Database, JournalError> {
             Err(JournalError::Damaged { path, why })
         }
         Err(error) => Err(open_error(path, error)),
+    }
+}
+
+/// Makes an empty file that nobody but its owner may read: jobs can be somebody's secret. One that is
+/// there keeps its permissions, since somebody may have given them on purpose.
+fn make_private(path: &Path) -> std::io::Result<()> {
+    let mut options = std::fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    match options.open(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => Err(error),
+        _ => Ok(()),
     }
 }
 

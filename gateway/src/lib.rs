@@ -27,6 +27,7 @@
 //! | [`spans`], [`collector`] | one span of the log for each job; where spans are sent (module `otel`, with the feature) |
 
 pub mod bus;
+pub mod clock_watch;
 pub mod collector;
 pub mod config;
 pub mod fleet;

@@ -104,6 +104,17 @@ impl Snapshot {
         }
     }
 
+    /// Returns whether no node that is there has anything to do.
+    pub fn is_at_rest(&self) -> bool {
+        let at_work = [JobState::Sent, JobState::Running];
+        let moves = |node: &NodeSnapshot| {
+            node.queue_commands > 0 || matches!(node.state, NodeWord::Running | NodeWord::Paused)
+        };
+        let is_there = |node: &&NodeSnapshot| node.state != NodeWord::Offline;
+        at_work.iter().all(|state| self.jobs[*state as usize] == 0)
+            && !self.nodes.values().filter(is_there).any(moves)
+    }
+
     /// Sets the gauges.
     pub fn record(&self) {
         for word in NodeWord::ALL {

@@ -21,8 +21,10 @@ use crate::{
         Arrived, Inbox, Outlets, WallClock,
         owners::Owners,
         store_failed,
+        urgent::Intake,
         zenoh::{Bus, BusError},
     },
+    clock_watch::{Advice, ClockWatch, LOOK_EVERY_US, disagree},
     config::GatewayConfig,
     fleet::{
         Fleet, FleetConfig, RestoreError,
@@ -96,6 +98,7 @@ pub enum ServiceError {
 /// A running gateway. Dropped without [`Service::shutdown`] it loses what is not yet written.
 #[derive(Debug)]
 pub struct Service {
+    clock: WallClock,
     bus: Arc<Bus>,
     stop_jobs: watch::Sender<bool>,
     stop_fleet: watch::Sender<bool>,
@@ -145,7 +148,8 @@ impl Remaining {
 }
 
 /// Runs a gateway until `shutdown` resolves, the store fails or another gateway takes over. `taken` is
-/// its store if it stood by. `ready` is called once; machines that come by `reloads` are for the jobs
+/// its store if it stood by. When the wall clock was set it begins anew by itself, see
+/// [`clock_watch`](crate::clock_watch). `ready` is called whenever it has begun; machines that come by `reloads` are for the jobs
 /// that come after them.
 ///
 /// # Errors
@@ -154,14 +158,15 @@ impl Remaining {
 /// # Cancellation safety
 /// None: cancel by `shutdown`.
 pub async fn run(
-    config: GatewayConfig,
-    taken: Option<Taken>,
-    ready: impl FnOnce(Ready<'_>),
+    mut config: GatewayConfig,
+    mut taken: Option<Taken>,
+    mut ready: impl FnMut(Ready<'_>),
     shutdown: impl Future<Output = ()>,
     mut reloads: mpsc::Receiver<Machines>,
 ) -> Result<Remaining, ServiceError> {
+    let mut shutdown = std::pin::pin!(shutdown);
     // First of all: an address that is taken is told before anything has begun.
-    let listener = match config.http {
+    let mut listener = match config.http {
         Some(address) => Some(http::listen(address).await?),
         None => None,
     };
@@ -169,36 +174,65 @@ pub async fn run(
         Some(_) => Some(http::install()?),
         None => None,
     };
-    let service = Service::start_with(config, taken).await?;
-    let address = listener
-        .as_ref()
-        .and_then(|socket| socket.local_addr().ok());
-    let serve = listener.zip(metrics).map(|(listener, metrics)| {
-        let serve = http::serve(listener, service.observer(), metrics);
-        tokio::spawn(serve)
-    });
-    ready(Ready {
-        locators: service.locators(),
-        http: address,
-        observer: &service.observer,
-    });
-    let reload = async {
-        while let Some(machines) = reloads.recv().await {
-            service.set_machines(machines);
+    loop {
+        let service = Service::start_with(config.clone(), taken.take()).await?;
+        if config.connect.is_empty() {
+            // Whoever knows where it is finds it there again.
+            config.listen = service.locators().to_vec();
         }
-        std::future::pending::<()>().await;
-    };
-    let resigned = tokio::select! {
-        () = shutdown => None,
-        () = service.failed() => None,
-        why = service.resigned() => Some(why),
-        () = reload => None,
-    };
-    if let Some(serve) = serve {
-        serve.abort();
+        let address = listener
+            .as_ref()
+            .and_then(|socket| socket.local_addr().ok());
+        let serve = listener
+            .take()
+            .zip(metrics.clone())
+            .map(|(listener, metrics)| {
+                let serve = http::serve(listener, service.observer(), metrics);
+                tokio::spawn(serve)
+            });
+        ready(Ready {
+            locators: service.locators(),
+            http: address,
+            observer: &service.observer,
+        });
+        let reload = async {
+            while let Some(machines) = reloads.recv().await {
+                config.machines = machines.clone();
+                service.set_machines(machines);
+            }
+            std::future::pending::<()>().await;
+        };
+        let ended = tokio::select! {
+            () = &mut shutdown => Ended::Asked,
+            () = service.failed() => Ended::Asked,
+            why = service.resigned() => Ended::Resigned(why),
+            () = service.clock_was_set() => Ended::ClockSet,
+            () = reload => Ended::Asked,
+        };
+        if let Some(serve) = serve {
+            serve.abort();
+            // So that the address is free again; it was aborted, and that is no news.
+            let _ = serve.await;
+        }
+        let remaining = service.shutdown().await?;
+        match ended {
+            Ended::Asked => return Ok(remaining),
+            Ended::Resigned(why) => return Err(ServiceError::Resigned(why)),
+            Ended::ClockSet => {}
+        }
+        if let Some(address) = address {
+            listener = Some(http::listen(address).await?);
+        }
     }
-    let remaining = service.shutdown().await?;
-    resigned.map_or(Ok(remaining), |why| Err(ServiceError::Resigned(why)))
+}
+
+/// Why a service ends that is run.
+enum Ended {
+    /// Somebody wants it, or the store has failed.
+    Asked,
+    Resigned(Resignation),
+    /// To begin anew.
+    ClockSet,
 }
 
 impl Service {
@@ -252,7 +286,6 @@ impl Service {
         let (stop_fleet, fleet_stopping) = watch::channel(false);
         let store_failed = Arc::new(AtomicBool::new(false));
         let Outlets {
-            urgent,
             events,
             events_sender,
             jobs,
@@ -280,7 +313,7 @@ impl Service {
             keys: config.keys.clone(),
         };
         task.carry_out(effects).await;
-        let fleet = tokio::spawn(task.run(urgent, events, asked, fleet_stopping));
+        let fleet = tokio::spawn(task.run(events, asked, fleet_stopping));
         let (reading, read) = mpsc::channel(READERS_MAX);
         let (machines, known_machines) = watch::channel(Arc::new(config.machines.clone()));
         let reader = tokio::spawn(read_jobs(jobs, reading, known_machines, jobs_stopping));
@@ -300,6 +333,7 @@ impl Service {
         });
 
         let service = Self {
+            clock,
             bus,
             resigned,
             place,
@@ -376,6 +410,38 @@ impl Service {
         }
     }
 
+    /// Resolves when the wall clock was set and no node has anything to do: the service should begin
+    /// anew, see [`clock_watch`](crate::clock_watch).
+    ///
+    /// # Cancellation safety
+    /// May be dropped and called again.
+    pub async fn clock_was_set(&self) {
+        let mut watch = ClockWatch::default();
+        loop {
+            tokio::time::sleep(Duration::from_micros(LOOK_EVERY_US)).await;
+            let ahead_us = self.clock.wall_ahead_us();
+            let at_rest = disagree(ahead_us)
+                && self
+                    .observer
+                    .snapshot()
+                    .await
+                    .is_some_and(|fleet| fleet.is_at_rest());
+            let ahead_s = ahead_us / 1_000_000;
+            match watch.look(ahead_us, at_rest) {
+                Advice::GoOn => {}
+                Advice::Tell => tracing::warn!(
+                    ahead_s,
+                    "the clock of this machine was set: times in records and schedules are wrong by \
+                     that until no node has anything to do"
+                ),
+                Advice::BeginAnew => {
+                    tracing::warn!(ahead_s, "the clock of this machine was set: beginning anew");
+                    return;
+                }
+            }
+        }
+    }
+
     /// Takes nothing more, carries out what was taken, and closes the network. Returns what is left.
     ///
     /// # Errors
@@ -402,16 +468,22 @@ impl Service {
 }
 
 /// Returns whose signatures count: those that the configuration names, and those of the secured
-/// fleet.
-fn signers(config: &GatewayConfig) -> Result<Vec<[u8; 32]>, BusError> {
+/// fleet; `None`: jobs need none.
+fn signers(config: &GatewayConfig) -> Result<Option<Vec<[u8; 32]>>, BusError> {
     let mut signers = config.fleet.signers.clone();
-    if let Some(folder) = &config.secure {
-        let home = Home::open(folder)?;
-        signers.extend(home.signers()?.iter().map(|signer| signer.key.0));
+    if let Some(folder) = &config.secure
+        && let Some(of_home) = Home::open(folder)?.signing()?
+    {
+        let of_home = of_home.iter().map(|signer| signer.key.0);
+        signers.get_or_insert_default().extend(of_home);
     }
-    if !signers.is_empty() {
-        let keys = signers.len();
-        tracing::info!(keys, "only jobs that an operator has signed are taken");
+    match signers.as_ref().map(Vec::len) {
+        None => {}
+        Some(0) => tracing::warn!(
+            "nobody's signature counts, so no job is taken: `fleet keys DIR new NAME` makes a key, \
+             `fleet keys DIR off` lets jobs without signature in again"
+        ),
+        Some(keys) => tracing::info!(keys, "only jobs that an operator has signed are taken"),
     }
     Ok(signers)
 }
@@ -424,6 +496,11 @@ pub struct Observer {
 }
 
 impl Observer {
+    /// Returns whether the service that it asked has ended.
+    pub fn is_gone(&self) -> bool {
+        self.questions.is_closed()
+    }
+
     /// Returns what the fleet is like now; `None` if it does not answer within
     /// [`ANSWER_PATIENCE`] or the store has failed.
     ///
@@ -458,8 +535,7 @@ struct FleetTask {
 impl FleetTask {
     async fn run(
         mut self,
-        mut urgent: mpsc::Receiver<Event>,
-        mut events: mpsc::Receiver<Arrived>,
+        mut events: Intake,
         mut asked: mpsc::Receiver<oneshot::Sender<Snapshot>>,
         mut stopping: watch::Receiver<bool>,
     ) -> Remaining {
@@ -476,25 +552,17 @@ impl FleetTask {
                     None => std::future::pending().await,
                 }
             };
-            let (arrived, may_wait) = tokio::select! {
+            let arrived = tokio::select! {
                 biased;
-                Some(event) = urgent.recv() => (event.into(), false),
-                Some(arrived) = events.recv() => (arrived, true),
+                arrived = events.next() => arrived,
                 _ = stopping.wait_for(|stop| *stop) => return Remaining::of(&self.fleet),
                 Some(answer) = asked.recv() => {
                     // Whoever asked may have left.
                     let _ = answer.send(Snapshot::of(&self.fleet));
                     continue;
                 }
-                () = due => (Event::Tick.into(), true),
+                () = due => Event::Tick.into(),
             };
-            if may_wait {
-                // A stop may have come between the two looks, and before this event: the release
-                // behind it must not overtake it.
-                while let Ok(event) = urgent.try_recv() {
-                    self.handle(event.into()).await;
-                }
-            }
             self.handle(arrived).await;
         }
     }

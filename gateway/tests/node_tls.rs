@@ -320,7 +320,8 @@ async fn a_board_that_is_told_whom_to_trust_over_its_line_works_over_tls() {
     let base = EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
     let board = EmulatedBoard::power_on(flash, base).expect("a pseudo-terminal");
     let password = plant.folder.path().join("left.password");
-    std::fs::write(&password, plant.credentials("left").password).expect("written");
+    gateway::security::home::write_secret(&password, &plant.credentials("left").password)
+        .expect("written");
     let text = |path: &std::path::Path| path.to_str().expect("UTF-8").to_owned();
     let line = [
         "provision".to_owned(),

@@ -4,6 +4,7 @@
 
 use gateway::{
     config::GatewayConfig,
+    security::home::write_secret,
     service::{Service, ServiceError},
 };
 use keys::{
@@ -417,17 +418,49 @@ async fn a_second_gateway_in_one_network_is_refused_and_one_with_its_own_prefix_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_gateway_that_begins_anew_in_its_process_is_found_where_it_was() {
+    let store = tempfile::tempdir().expect("a directory");
+    let mut config = config(store.path());
+    let mut where_it_was = None;
+    for _ in 0..3 {
+        let service = in_time(Service::start(config.clone()))
+            .await
+            .expect("started");
+        config.listen = service.locators().to_vec();
+        let before = where_it_was.replace(config.listen.clone());
+        assert!(before.is_none_or(|before| before == config.listen));
+        let client = in_time(client(&config.listen[0], None)).await;
+        let client = client.expect("connected");
+        in_time(async { client.close().await })
+            .await
+            .expect("closed");
+        in_time(service.shutdown()).await.expect("a clean end");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn with_a_users_file_only_its_users_get_in() {
     let store = tempfile::tempdir().expect("a directory");
     let users = store.path().join("users.txt");
-    std::fs::write(&users, "operator:secret\n").expect("written");
     let mut guarded = config(store.path());
     guarded.users = Some(users.clone());
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        std::fs::write(&users, "gateway:own\n").expect("written");
+        let all = std::fs::Permissions::from_mode(0o644);
+        std::fs::set_permissions(&users, all).expect("ours");
+        let error = in_time(Service::start(guarded.clone()))
+            .await
+            .expect_err("others may read it");
+        assert!(error.to_string().contains("chmod 600"), "{error}");
+    }
+    write_secret(&users, "operator:secret\n").expect("written");
     let error = in_time(Service::start(guarded.clone()))
         .await
         .expect_err("no entry for the gateway");
     assert!(error.to_string().contains("gateway:PASSWORD"), "{error}");
-    std::fs::write(&users, "gateway:own\noperator:secret\n").expect("written");
+    write_secret(&users, "gateway:own\noperator:secret\n").expect("written");
     let service = in_time(Service::start(guarded)).await.expect("started");
     let locator = service.locators()[0].clone();
     assert!(in_time(client(&locator, None)).await.is_err());

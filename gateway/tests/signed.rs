@@ -31,7 +31,7 @@ fn plant() -> Plant {
         Signer::new().expect("random numbers"),
     );
     let config = FleetConfig {
-        signers: vec![alice.public().0],
+        signers: Some(vec![alice.public().0]),
         ..FleetConfig::default()
     };
     let mut rig = Rig::with(config, 1);

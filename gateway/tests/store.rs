@@ -367,3 +367,29 @@ fn an_empty_store_has_nothing_wrong() {
     );
     assert!(findings.wrong.is_empty() && !findings.cut_off);
 }
+
+#[test]
+#[cfg(unix)]
+fn a_store_and_its_copy_are_their_owners_alone_and_given_permissions_stay() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir().expect("a folder");
+    let mode = |path: &Path| {
+        let found = std::fs::metadata(path).expect("there");
+        found.permissions().mode() & 0o777
+    };
+    let store = folder.path().join("fleet.redb");
+    drop(Journal::open(&store).expect("made"));
+    assert_eq!(mode(&store), 0o600);
+    let given = std::fs::Permissions::from_mode(0o640);
+    std::fs::set_permissions(&store, given).expect("ours");
+    let (journal, _) = Journal::open(&store).expect("opens");
+    assert_eq!(mode(&store), 0o640);
+
+    let copy = folder.path().join("monday.redb");
+    let mut file = CopyFile::create(&copy).expect("created");
+    assert_eq!(mode(&folder.path().join("monday.redb.part")), 0o600);
+    let pieces = |piece| file.take(piece).is_ok();
+    journal.copier().copy(pieces).expect("copied");
+    file.finish().expect("whole");
+    assert_eq!(mode(&copy), 0o600);
+}

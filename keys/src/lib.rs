@@ -33,6 +33,8 @@ pub mod pace;
 #[cfg(feature = "json")]
 pub mod record;
 pub mod script;
+#[cfg(feature = "json")]
+pub mod secret;
 #[cfg(feature = "signed")]
 pub mod signed;
 #[cfg(feature = "signed")]

@@ -154,9 +154,11 @@ impl Proof {
 
     /// Returns whether this order is within what was signed.
     pub fn includes(&self, header: &BatchHeader) -> bool {
-        let end = header.first_command + u64::from(header.command_count);
+        let count = u64::from(header.command_count);
+        // An order that ends behind the last number there is was never signed.
+        let end = header.first_command.checked_add(count);
         self.first_command <= header.first_command
-            && end <= self.end()
+            && end.is_some_and(|end| end <= self.end())
             && header.job_end == self.end()
     }
 }

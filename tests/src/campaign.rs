@@ -11,8 +11,10 @@ use crate::{
     verdict::Book,
     world::{EPOCH_US, MS, OldOwner, S},
 };
-use keys::{StopMode, record::JobState};
-use std::{fmt, ops};
+use gateway::fleet::event::ReplyTo;
+use keys::{JobId, StopMode, record::JobState};
+use serde_json::json;
+use std::{collections::BTreeSet, fmt, ops};
 
 /// The nodes of a scenario.
 pub const NODES: [&str; 3] = ["left", "middle", "right"];
@@ -23,7 +25,7 @@ const PATIENCE_S: u64 = 64;
 /// What can happen in a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Happening {
-    /// A job for one node; one of four clients hands it in twice.
+    /// A job for one node, of moves or of every kind of motion; one of four clients hands it in twice.
     Job,
     /// A synchronized job for two or three nodes.
     Group,
@@ -117,6 +119,8 @@ pub struct Outcome {
     pub commands: u64,
     /// Jobs that clients handed in.
     pub jobs: u64,
+    /// Of them, those for which somebody heard a receipt: each has a record with one end.
+    pub accepted: u64,
     /// Of them, those that succeeded.
     pub succeeded: u64,
     /// How often each thing happened.
@@ -127,6 +131,7 @@ impl ops::AddAssign for Outcome {
     fn add_assign(&mut self, other: Self) {
         self.commands += other.commands;
         self.jobs += other.jobs;
+        self.accepted += other.accepted;
         self.succeeded += other.succeeded;
         for (sum, more) in self.happened.iter_mut().zip(other.happened) {
             *sum += more;
@@ -139,12 +144,13 @@ impl fmt::Display for Outcome {
         let Self {
             commands,
             jobs,
+            accepted,
             succeeded,
             happened,
         } = self;
         write!(
             f,
-            "{jobs} jobs, {succeeded} succeeded, {commands} commands taken;"
+            "{jobs} jobs, {accepted} with a receipt, {succeeded} succeeded, {commands} commands taken;"
         )?;
         for (happening, count) in Happening::ALL.iter().zip(happened) {
             write!(f, " {happening:?} {count}")?;
@@ -166,6 +172,37 @@ fn moves(random: &mut Random) -> Vec<(u8, i32)> {
             (random.below(2) as u8, sign * steps)
         })
         .collect()
+}
+
+/// A command of any kind of motion that carries this number.
+fn motion(random: &mut Random, number: u32) -> serde_json::Value {
+    let axis = random.below(2);
+    let sign = if random.below(2) == 0 { 1 } else { -1 };
+    let steps = sign * random.between(1, 60) as i64;
+    let speed_hz = random.between(500, 4_000);
+    let accel = Book::accel_of(number, random.between(20_000, 200_000) as u32);
+    match random.below(8) {
+        0..4 => json!({"move": {"axis": axis, "delay_us": number, "steps": steps}}),
+        4 => {
+            json!({"ramp": {"axis": axis, "steps": 4 * steps, "speed_hz": speed_hz, "accel": accel}})
+        }
+        5 => {
+            json!({"ramp_to": {"axis": axis, "position": steps, "speed_hz": speed_hz, "accel": accel}})
+        }
+        6 => {
+            let both = [steps, sign * random.between(1, 60) as i64];
+            json!({"line": {"steps": both, "speed_hz": speed_hz, "accel": accel}})
+        }
+        _ => json!({"set_position": {"axis": axis, "position": number}}),
+    }
+}
+
+/// Returns whether a client was told that its job is kept.
+fn is_receipt(world: &World, get: ReplyTo) -> bool {
+    let answers = world.answers(get);
+    let told = answers.replies.iter().filter(|(key, _)| key.is_some());
+    // A job that was refused is answered by an error, without a key.
+    told.count() > 0
 }
 
 /// Runs one scenario.
@@ -223,6 +260,7 @@ fn run_with(
     world.faults = Faults::drawn(&mut random);
     let mut book = Book::new();
     let mut outcome = Outcome::default();
+    let mut asked: Vec<(String, ReplyTo)> = Vec::new();
     for _ in 0..random.between(8, 25) {
         let happening = Happening::draw(&mut random);
         outcome.happened[happening as usize] += 1;
@@ -230,12 +268,18 @@ fn run_with(
         tell(world.now_us() - EPOCH_US, happening, node);
         match happening {
             Happening::Job => {
-                let job = book.job(&format!("job-{}", outcome.jobs), &moves(&mut random));
+                let name = format!("job-{}", outcome.jobs);
+                let job = if random.below(3) > 0 {
+                    book.job(&name, &moves(&mut random))
+                } else {
+                    let count = random.between(1, 12) as usize;
+                    book.job_of(&name, count, |_, number| motion(&mut random, number))
+                };
                 outcome.jobs += 1;
-                let _ = world.submit(node, &job);
+                asked.push((name.clone(), world.submit(node, &job)));
                 if random.below(4) == 0 {
                     // The client did not hear the receipt and asks again.
-                    let _ = world.submit(node, &job);
+                    asked.push((name, world.submit(node, &job)));
                 }
             }
             Happening::Group => {
@@ -244,9 +288,10 @@ fn run_with(
                 let parts: Vec<_> = members
                     .map(|(_, node)| (node, moves(&mut random)))
                     .collect();
-                let job = book.group(&format!("job-{}", outcome.jobs), &parts);
+                let name = format!("job-{}", outcome.jobs);
+                let job = book.group(&name, &parts);
                 outcome.jobs += 1;
-                let _ = world.submit_group("table", &job);
+                asked.push((name, world.submit_group("table", &job)));
             }
             Happening::Link => world.break_link(node, random.between(1, 4_000) * MS),
             Happening::Partition => {
@@ -311,6 +356,20 @@ fn run_with(
         }
     }
     outcome.commands = world.verdict(&book);
+    let heard = asked.iter().filter(|(_, get)| is_receipt(&world, *get));
+    let accepted: BTreeSet<&str> = heard.map(|(name, _)| name.as_str()).collect();
+    for name in &accepted {
+        let id = JobId::new(name).expect("legal");
+        let ends = world.records.get(&id).is_some_and(|records| {
+            let last = records.last().expect("a list begins with its first entry");
+            last.state.is_final()
+        });
+        assert!(
+            ends,
+            "job {name} was accepted and has no record with an end"
+        );
+    }
+    outcome.accepted = accepted.len() as u64;
     let last = world.records.values().filter_map(|records| records.last());
     outcome.succeeded = last
         .filter(|record| record.state == JobState::Succeeded)

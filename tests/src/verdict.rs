@@ -12,7 +12,7 @@ use keys::{
     command::RampShape,
     record::{JobRecord, JobResult, JobState},
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Numbers of commands are below this: a ramp carries its own in the remainder of its acceleration.
 const NUMBERS: u32 = 4_096;
@@ -193,6 +193,18 @@ impl World {
             let grows =
                 |pair: &[JobRecord]| pair[0].version < pair[1].version || pair[0] == pair[1];
             assert!(records.windows(2).all(grows), "job {job}: {records:?}");
+            let ends: BTreeSet<&str> = records
+                .iter()
+                .filter(|record| record.state.is_final())
+                .map(|record| record.state.as_str())
+                .collect();
+            assert!(ends.len() <= 1, "job {job} has two ends: {records:?}");
+            let first_end = records.iter().position(|record| record.state.is_final());
+            let behind = records.iter().skip(first_end.unwrap_or(records.len()));
+            assert!(
+                behind.clone().all(|record| record.state.is_final()),
+                "job {job} goes on behind its end: {records:?}"
+            );
             let last = records.last().expect("a list begins with its first entry");
             if !last.state.is_final() {
                 waiting.push((*job, last.state));

@@ -1,5 +1,5 @@
-//! The disk under a real gateway fails to make anything durable: nobody gets a receipt for what is
-//! not kept, the gateway ends with an error, and the next one goes on with what was.
+//! The disk under a real gateway fails to make anything durable, or is full: nobody gets a receipt for
+//! what is not kept, the gateway ends with an error, and the next one goes on with what was.
 #![cfg(target_os = "linux")]
 
 use emulator::{EmulatedHandle, EmulatorConfig};
@@ -13,19 +13,55 @@ use std::{
 };
 use tests::field::{self, Gateway, PATIENCE};
 
-/// `fsync` and `fdatasync` fail while a file is there.
+/// While a file is there, `fsync` and `fdatasync` fail; while another one is, no file grows, and of
+/// what is written to one at most a page finds room.
 const LIBRARY: &str = r#"
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <stdlib.h>
+#include <sys/stat.h>
 #include <unistd.h>
+static int there(const char *name) {
+    const char *file = getenv(name);
+    return file != NULL && access(file, F_OK) == 0;
+}
 static int fails(void) {
-    const char *file = getenv("FAILING_DISK");
-    if (file == NULL || access(file, F_OK) != 0) return 0;
+    if (!there("FAILING_DISK")) return 0;
     errno = EIO;
     return 1;
 }
+static int is_full(int file) {
+    struct stat found;
+    if (!there("FULL_DISK")) return 0;
+    if (fstat(file, &found) != 0 || !S_ISREG(found.st_mode)) return 0;
+    errno = ENOSPC;
+    return 1;
+}
+ssize_t pwrite(int file, const void *bytes, size_t count, off_t at) {
+    ssize_t (*real)(int, const void *, size_t, off_t) =
+        (ssize_t (*)(int, const void *, size_t, off_t))dlsym(RTLD_NEXT, "pwrite");
+    if (is_full(file)) {
+        /* What is left of the disk takes the first page of a larger piece. */
+        if (count <= 4096) return -1;
+        count = 4096;
+    }
+    return real(file, bytes, count, at);
+}
+ssize_t pwrite64(int file, const void *bytes, size_t count, off_t at) {
+    return pwrite(file, bytes, count, at);
+}
+int ftruncate(int file, off_t length) {
+    int (*real)(int, off_t) = (int (*)(int, off_t))dlsym(RTLD_NEXT, "ftruncate");
+    struct stat found;
+    if (is_full(file) && fstat(file, &found) == 0 && length > found.st_size) {
+        errno = ENOSPC;
+        return -1;
+    }
+    return real(file, length);
+}
+int ftruncate64(int file, off_t length) { return ftruncate(file, length); }
 int fsync(int file) {
     int (*real)(int) = (int (*)(int))dlsym(RTLD_NEXT, "fsync");
     return fails() ? -1 : real(file);
@@ -81,6 +117,16 @@ fn node_at(connect: &str) -> EmulatedHandle {
 
 #[test]
 fn without_fsync_there_is_no_receipt_and_afterwards_every_job_has_run_once() {
+    lose_a_job("FAILING_DISK");
+}
+
+#[test]
+fn on_a_full_disk_there_is_no_receipt_and_afterwards_every_job_has_run_once() {
+    lose_a_job("FULL_DISK");
+}
+
+/// Hands a job in while the disk fails as this variable says.
+fn lose_a_job(how: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     let library = compile(folder.path());
     let trigger = folder.path().join("fails");
@@ -91,9 +137,7 @@ fn without_fsync_there_is_no_receipt_and_afterwards_every_job_has_run_once() {
     let (_router, connect) = field::open_router();
     let start = || {
         let mut program = Command::new(field::binary("fleet"));
-        program
-            .env("LD_PRELOAD", &library)
-            .env("FAILING_DISK", &trigger);
+        program.env("LD_PRELOAD", &library).env(how, &trigger);
         Gateway::run(program, &store, Some(&connect))
     };
     let mut gateway = start();

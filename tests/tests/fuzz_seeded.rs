@@ -9,6 +9,8 @@
 #[path = "../fuzz/src/lib.rs"]
 mod targets;
 
+#[path = "../fuzz/src/gcode.rs"]
+mod gcode;
 #[path = "../fuzz/src/store.rs"]
 mod store;
 
@@ -90,7 +92,16 @@ fn run(target: &Target) {
         let (name, number) = text.split_once(':').expect("TARGET:NUMBER");
         (name.to_owned(), number.parse::<u64>().expect("a number"))
     });
-    let slow = ["node", "script", "tls", "update", "provision", "store"].contains(&target.name);
+    let slow = [
+        "node",
+        "signed",
+        "script",
+        "tls",
+        "update",
+        "provision",
+        "store",
+    ]
+    .contains(&target.name);
     let cases = std::env::var("FUZZ_CASES")
         .ok()
         .map(|text| text.parse().expect("a number"));
@@ -130,6 +141,18 @@ seeded! {
     a_node_that_is_told_anything_keeps_its_position: "node",
     scripts_end_or_give_way: "script",
     a_router_proves_who_it_is_or_is_not_heard: "tls",
+    a_proof_includes_nothing_behind_what_was_signed: "proof",
+    without_a_key_nobody_moves_a_node_that_asks_for_signatures: "signed",
+    a_wish_to_move_by_hand_is_an_order_or_is_refused_at_a_place: "jog",
+}
+
+#[test]
+fn a_program_that_is_taken_can_be_kept() {
+    run(&Target {
+        name: "gcode",
+        check: gcode::check,
+        seeds: gcode::seeds,
+    });
 }
 
 #[test]

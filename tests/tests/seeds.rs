@@ -35,6 +35,10 @@ fn no_command_is_lost_doubled_or_half_taken_whatever_fails() {
     // A campaign in which nothing happens proves nothing.
     assert!(all.commands > 100_000, "{all}");
     assert!(all.succeeded > 4_000, "{all}");
+    assert!(
+        all.accepted >= all.succeeded && all.accepted > all.jobs / 2,
+        "{all}"
+    );
     for happening in Happening::ALL {
         let count = all.happened[happening as usize];
         assert!(count > RUNS / 10, "{happening:?} {count} times only");

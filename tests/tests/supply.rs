@@ -114,30 +114,48 @@ fn every_unsafe_has_a_place_in_the_inventory_and_every_place_has_one() {
     assert_eq!(found, BTreeSet::from(listed));
 }
 
+/// Folders with a lock file of their own, beside the workspace: what is built for other machines or by
+/// another compiler.
+const APART: [&str; 4] = [
+    ".ci/client-size",
+    ".ci/rv32",
+    "node-firmware/esp32s3",
+    "tests/fuzz",
+];
+
 /// Everything that can be built for this machine, with all features, as cargo knows it.
 fn metadata() -> Value {
-    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let version = Command::new("rustc")
         .arg("-vV")
         .output()
         .expect("rustc runs");
     let version = String::from_utf8(version.stdout).expect("text");
     let host = version.lines().find_map(|line| line.strip_prefix("host: "));
+    let host = host.expect("rustc names its host");
+    metadata_of(&root(), &["--filter-platform", host])
+}
+
+/// What the lock file in a folder leads to. It must be up to date.
+fn metadata_of(folder: &Path, options: &[&str]) -> Value {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let output = Command::new(cargo)
         .args([
             "metadata",
             "--format-version=1",
             "--locked",
             "--all-features",
-            "--filter-platform",
         ])
-        .arg(host.expect("rustc names its host"))
-        .current_dir(root())
+        .args(options)
+        // Of the folder and not of whoever runs this test.
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .env_remove("RUSTUP_TOOLCHAIN")
+        .current_dir(folder)
         .output()
         .expect("cargo runs");
     assert!(
         output.status.success(),
-        "{}",
+        "{}: {}",
+        folder.display(),
         String::from_utf8_lossy(&output.stderr)
     );
     serde_json::from_slice(&output.stdout).expect("JSON")
@@ -181,20 +199,41 @@ fn every_crate_has_a_licence_that_we_may_use_and_comes_from_the_registry() {
     assert!(!may_be_used("MIT AND GPL-3.0", &allowed));
     assert!(!may_be_used("(GPL-2.0 OR GPL-3.0) AND MIT", &allowed));
     let mut wrong = Vec::new();
-    let metadata = metadata();
-    for package in packages(&metadata) {
+    let mut all = vec![metadata()];
+    all.extend(APART.map(|folder| metadata_of(&root().join(folder), &[])));
+    for package in all.iter().flat_map(packages) {
         let name = format!("{} {}", package["name"], package["version"]);
         let licence = package["license"].as_str().unwrap_or_default();
-        if !may_be_used(licence, &allowed) {
-            wrong.push(format!("{name}: licence {licence:?}"));
-        }
         let source = package["source"].as_str();
         let ours = source.is_none();
+        if !ours && !may_be_used(licence, &allowed) {
+            wrong.push(format!("{name}: licence {licence:?}"));
+        }
         if !ours && source != Some("registry+https://github.com/rust-lang/crates.io-index") {
             wrong.push(format!("{name}: from {source:?}"));
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn every_lock_file_is_one_that_is_looked_at() {
+    let mut found = BTreeSet::new();
+    let mut folders = vec![root()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().unwrap_or_default();
+            if path.is_dir() && name != "target" && name != ".git" {
+                folders.push(path);
+            } else if name == "Cargo.lock" {
+                let of = folder.strip_prefix(root()).expect("below the root");
+                found.insert(of.to_string_lossy().into_owned());
+            }
+        }
+    }
+    let listed = APART.into_iter().chain([""]).map(str::to_owned);
+    assert_eq!(found, listed.collect());
 }
 
 #[test]

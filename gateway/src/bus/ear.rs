@@ -10,7 +10,9 @@
 use super::{
     Addressee, Arrived, GETS_OPEN_MAX, Inbox, WallClock, busy,
     limits::{Admission, Client, ClientLimits, Limits},
-    refusal_event, too_often,
+    refusal_event,
+    sizes::{SCRIPT_MESSAGE_BYTES_MAX, SMALL_BYTES_MAX},
+    too_large, too_often,
     zenoh::Payload,
 };
 use crate::{
@@ -22,7 +24,7 @@ use crate::{
     job::parse::wish_from,
 };
 use keys::{
-    FleetMicros, Keys, NodeId, NodeTopic, Stop, Topic,
+    FleetMicros, Keys, NodeId, NodeTopic, Stop, StopMode, Topic,
     record::{ErrorReply, JobError, to_json},
 };
 use std::{
@@ -226,14 +228,20 @@ impl Ear {
     /// Takes a put.
     pub(super) fn put(&self, sample: &Sample) {
         let at = self.clock.now();
-        if sample.kind() != SampleKind::Put {
-            return;
-        }
         let key = sample.key_expr().as_str();
         if self.door == Door::Node(NodeTopic::Stop) {
-            let mode = Stop::from_payload(&sample.payload().to_bytes()).mode;
+            // Whatever comes on this key stops, also a value that is deleted: so nodes take it.
+            let payload = sample.payload();
+            let mode = match payload.len() {
+                0..=SMALL_BYTES_MAX => Stop::from_payload(&payload.to_bytes()).mode,
+                // Through a router of others: it says nothing, and is not put together for that.
+                _ => StopMode::Halt,
+            };
             let pattern = stop_pattern(&self.keys, key);
-            return self.inbox.urgent(Event::Stop { pattern, mode });
+            return self.inbox.stop(pattern, mode);
+        }
+        if sample.kind() != SampleKind::Put {
+            return;
         }
         let Some(name) = self.door.name(&self.keys, key) else {
             tracing::debug!(key, "a put on a key that only includes ours");
@@ -271,7 +279,7 @@ impl Ear {
             Door::Node(NodeTopic::Job) => job(Addressee::Node(pattern)),
             Door::GroupJob => job(Addressee::Group(pattern)),
             Door::LabelJob => job(Addressee::Label(pattern)),
-            Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release {
+            Door::Node(NodeTopic::Release) => self.inbox.release(Event::Release {
                 pattern,
                 reply: None,
             }),
@@ -289,7 +297,8 @@ impl Ear {
             }
             Door::Node(topic) => {
                 let Ok(node) = NodeId::new(name) else { return };
-                if !self.gets.hear(node, at) {
+                // What comes through a router of others may be of any size.
+                if sample.payload().len() > SMALL_BYTES_MAX || !self.gets.hear(node, at) {
                     return self.inbox.note_dropped(&"a node says too much");
                 }
                 let event = Event::FromNode {
@@ -330,6 +339,15 @@ impl Ear {
         let Some(to) = self.gets.admit(query, self.clock.now()) else {
             return;
         };
+        let is_job = matches!(
+            self.door,
+            Door::Node(NodeTopic::Job) | Door::GroupJob | Door::LabelJob | Door::Keep(_)
+        );
+        let bytes = query.payload().map_or(0, |payload| payload.len());
+        if !is_job && bytes > SCRIPT_MESSAGE_BYTES_MAX {
+            self.gets.remove(to);
+            return refuse(query, too_large());
+        }
         let reply = Some(to);
         let job = |addressee| {
             let payload = Payload(query.payload().cloned().unwrap_or_default());
@@ -358,7 +376,7 @@ impl Ear {
                 payload: asked(query),
                 reply: to,
             }),
-            Door::Node(NodeTopic::Release) => self.inbox.event(Event::Release { pattern, reply }),
+            Door::Node(NodeTopic::Release) => self.inbox.release(Event::Release { pattern, reply }),
             Door::JobCancel => self.inbox.event(Event::Cancel { pattern, reply }),
             Door::Node(topic @ (NodeTopic::Hold | NodeTopic::Resume | NodeTopic::Speed)) => {
                 let payload = query.payload().map(|payload| payload.to_bytes());
@@ -388,10 +406,13 @@ impl Ear {
 
     /// Takes a node's coming or going.
     pub(super) fn alive(&self, sample: &Sample) {
+        // A token that comes tells nothing: the node's status follows it.
+        if sample.kind() == SampleKind::Put {
+            return;
+        }
         let name = self.door.name(&self.keys, sample.key_expr().as_str());
         if let Some(node) = name.and_then(|name| NodeId::new(name).ok()) {
-            let alive = sample.kind() == SampleKind::Put;
-            self.inbox.urgent(Event::Alive { node, alive });
+            self.inbox.gone(node);
         }
     }
 }

@@ -7,10 +7,14 @@
 //!
 //! | what | bound | when it is passed |
 //! |---|---|---|
-//! | jobs, cancels, releases and reads of one client | [`ClientLimits::requests_per_s`], ten seconds of them at once | a get is answered `not_allowed`; of refused puts one a second leaves a record |
+//! | jobs, cancels, holds, speeds and reads of one client | [`ClientLimits::requests_per_s`], ten seconds of them at once | a get is answered `not_allowed`; of refused puts one a second leaves a record |
 //! | their bytes | [`ClientLimits::bytes_per_s`], and the largest job at once | the same |
 //! | gets of one client that wait for their last reply | [`ClientLimits::gets_open`] | answered `not_allowed` |
 //! | what one node says | [`NODE_MESSAGES_PER_S`], two seconds of it at once | dropped: a node says again what matters |
+//!
+//! Releases share one account among all clients: they come by the way of the stops, so that none overtakes
+//! one, and on that way clients cannot be told apart. A flood of them can have others' releases refused,
+//! and nothing else.
 //!
 //! Stops are not counted: whatever else goes wrong, a stop is carried out.
 

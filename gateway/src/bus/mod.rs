@@ -1,7 +1,7 @@
 //! What comes from the network before the fleet sees it, and the clock that stamps it.
 //!
 //! ```text
-//!  zenoh callbacks ──▶ Inbox ──┬─ urgent: stop, alive ──────────────────────────▶ fleet task
+//!  zenoh callbacks ──▶ Inbox ──┬─ urgent: stop, release, gone ──────────────────▶ fleet task
 //!   (ear.rs)                   ├─ events: status, ack, clock, get, cancel, … ───▶   "
 //!                              └─ jobs ──▶ read and checked in order (service.rs) ─▶ "
 //! ```
@@ -11,7 +11,9 @@
 //!
 //! | queue | bound | when full |
 //! |---|---|---|
-//! | urgent | [`URGENT_EVENTS_MAX`] | dropped and logged: nodes hear a stop themselves, a node that is gone shows by its silence, one that came by its status |
+//! | urgent | stops: [`urgent::STOPS_WAITING_MAX`] | they become one stop of all |
+//! | | releases: [`urgent::RELEASES_WAITING_MAX`] | as other events |
+//! | | nodes that are gone: [`urgent::GONE_WAITING_MAX`] | dropped and logged: it shows by its silence |
 //! | events | [`EVENTS_MAX`] | a get is answered `internal`, "busy"; a put is dropped and logged: status, ack and start are said again |
 //! | jobs | [`JOBS_WAITING_MAX`], [`JOBS_WAITING_KIB_MAX`] | refused as `internal`, "busy": an error reply, or a record with state `rejected` |
 //! | open gets | [`GETS_OPEN_MAX`] | answered `internal`, "busy" |
@@ -24,11 +26,13 @@ pub mod backup;
 mod ear;
 pub mod limits;
 pub mod owners;
+pub mod sizes;
+pub mod urgent;
 pub mod zenoh;
 
 use crate::fleet::event::{Event, ReplyTo};
 use keys::{
-    FleetMicros,
+    FleetMicros, NodeId, StopMode,
     record::{ErrorCode, JobError},
 };
 use std::{
@@ -39,9 +43,7 @@ use std::{
     time::{Instant, SystemTime, UNIX_EPOCH},
 };
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-
-/// Stops and comings and goings that wait for the fleet.
-pub const URGENT_EVENTS_MAX: usize = 4_096;
+use urgent::{Intake, Urgent};
 
 /// Other events that wait for the fleet: ten seconds of a hundred nodes at ten statuses a second.
 pub const EVENTS_MAX: usize = 10_000;
@@ -55,7 +57,8 @@ pub const JOBS_WAITING_KIB_MAX: usize = 4 * keys::job::JOB_BYTES_MAX / 1_024;
 /// Gets that wait for their last reply.
 pub const GETS_OPEN_MAX: usize = 4_096;
 
-/// The gateway's clock: UTC at the start, and from there on time that never goes back.
+/// The gateway's clock: UTC at the start, and from there on time that never goes back. What becomes of it
+/// when the wall is set: see [`clock_watch`](crate::clock_watch).
 #[derive(Clone, Copy, Debug)]
 pub struct WallClock {
     started_at_us: u64,
@@ -72,6 +75,13 @@ impl WallClock {
             started_at_us: since_epoch.as_micros() as u64,
             started: Instant::now(),
         }
+    }
+
+    /// Returns how far the wall is ahead now, µs; negative: behind. Not zero after it was set, or after
+    /// a sleep of the machine.
+    pub fn wall_ahead_us(&self) -> i64 {
+        let wall = Self::start().started_at_us;
+        wall.cast_signed() - self.now().0.cast_signed()
     }
 
     /// Returns the time now.
@@ -130,7 +140,7 @@ pub struct Full;
 /// Where callbacks put what came. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Inbox {
-    urgent: mpsc::Sender<Event>,
+    urgent: Urgent,
     events: mpsc::Sender<Arrived>,
     jobs: mpsc::Sender<PostedJob>,
     jobs_room_kib: Arc<Semaphore>,
@@ -140,10 +150,8 @@ pub struct Inbox {
 /// The other ends of an [`Inbox`].
 #[derive(Debug)]
 pub struct Outlets {
-    /// Stop and alive.
-    pub urgent: mpsc::Receiver<Event>,
-    /// Everything else but jobs.
-    pub events: mpsc::Receiver<Arrived>,
+    /// Everything but jobs.
+    pub events: Intake,
     /// Where jobs go on when they have been read.
     pub events_sender: mpsc::Sender<Arrived>,
     /// Jobs.
@@ -153,12 +161,11 @@ pub struct Outlets {
 impl Inbox {
     /// Makes the queues.
     pub fn new() -> (Self, Outlets) {
-        let (urgent, urgent_outlet) = mpsc::channel(URGENT_EVENTS_MAX);
+        let urgent = Urgent::default();
         let (events, events_outlet) = mpsc::channel(EVENTS_MAX);
         let (jobs, jobs_outlet) = mpsc::channel(JOBS_WAITING_MAX);
         let outlets = Outlets {
-            urgent: urgent_outlet,
-            events: events_outlet,
+            events: Intake::new(urgent.clone(), events_outlet),
             events_sender: events.clone(),
             jobs: jobs_outlet,
         };
@@ -172,10 +179,24 @@ impl Inbox {
         (inbox, outlets)
     }
 
-    /// Takes a stop or a node's coming or going.
-    pub fn urgent(&self, event: Event) {
-        if let Err(error) = self.urgent.try_send(event) {
-            self.note_dropped(&error);
+    /// Takes a stop.
+    pub fn stop(&self, pattern: String, mode: StopMode) {
+        self.urgent.stop(pattern, mode);
+    }
+
+    /// Takes a release, behind the stops that came before it.
+    ///
+    /// # Errors
+    /// [`Full`]: whoever waits for a reply has to be told.
+    pub fn release(&self, release: Event) -> Result<(), Full> {
+        let taken = self.urgent.release(release);
+        taken.inspect_err(|Full| self.note_dropped(&"too many releases wait"))
+    }
+
+    /// Takes a node whose token is gone.
+    pub fn gone(&self, node: NodeId) {
+        if let Err(Full) = self.urgent.gone(node) {
+            self.note_dropped(&"too many nodes are gone");
         }
     }
 
@@ -267,6 +288,17 @@ pub fn too_often() -> JobError {
     JobError::new(
         ErrorCode::NotAllowed,
         "this client asks for too much at a time; nothing was taken, try again more slowly",
+    )
+}
+
+/// The refusal of a question that is longer than any of its kind.
+pub fn too_large() -> JobError {
+    JobError::new(
+        ErrorCode::TooLarge,
+        format!(
+            "at most {} bytes may be asked with here",
+            sizes::SCRIPT_MESSAGE_BYTES_MAX
+        ),
     )
 }
 

@@ -22,6 +22,7 @@ use super::{
     backup::{BACKUP, Backup},
     ear::{Door, Ear, Gets, refuse},
     owners::{self, Owners},
+    sizes::low_pass_filter,
 };
 use crate::{
     config::{
@@ -34,10 +35,10 @@ use crate::{
     journal::copy::Copier,
     security::{Home, HomeError},
 };
-use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError};
+use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
 use std::{
     net::{SocketAddr, TcpListener},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -255,9 +256,10 @@ impl Bus {
             (&self.swift, Door::Node(NodeTopic::Stop)),
             // By the way of the stop, so that it stays behind the stop that its client sent before.
             (&self.swift, Door::Node(NodeTopic::Release)),
-            (&self.swift, Door::Node(NodeTopic::Hold)),
-            (&self.swift, Door::Node(NodeTopic::Resume)),
-            (&self.swift, Door::Node(NodeTopic::Speed)),
+            // These lift no stop; and here the clients are told apart.
+            (&self.main, Door::Node(NodeTopic::Hold)),
+            (&self.main, Door::Node(NodeTopic::Resume)),
+            (&self.main, Door::Node(NodeTopic::Speed)),
             (&self.swift, Door::Node(NodeTopic::Clock)),
             (&self.swift, Door::Node(NodeTopic::Start)),
             (&self.swift, Door::Node(NodeTopic::Pace)),
@@ -277,9 +279,9 @@ impl Bus {
             (&self.main, Door::GroupJob),
             (&self.main, Door::JobCancel),
             (&self.swift, Door::Node(NodeTopic::Release)),
-            (&self.swift, Door::Node(NodeTopic::Hold)),
-            (&self.swift, Door::Node(NodeTopic::Resume)),
-            (&self.swift, Door::Node(NodeTopic::Speed)),
+            (&self.main, Door::Node(NodeTopic::Hold)),
+            (&self.main, Door::Node(NodeTopic::Resume)),
+            (&self.main, Door::Node(NodeTopic::Speed)),
             (&self.main, Door::Node(NodeTopic::State)),
             (&self.main, Door::Job),
             (&self.main, Door::LabelJob),
@@ -554,6 +556,7 @@ async fn open_router(
                 "transport/unicast/max_sessions",
                 (config.fleet.nodes_max + CLIENTS_MAX).to_string(),
             ),
+            ("low_pass_filter", low_pass_filter(&config.keys).to_string()),
         ];
         if let Some(users) = &config.users {
             let file = json(&users.to_string_lossy());
@@ -652,12 +655,12 @@ fn reachable(locator: &str) -> String {
 }
 
 /// Returns the gateway's own line of the users file.
-fn gateway_entry(file: &PathBuf) -> Result<Credentials, BusError> {
+fn gateway_entry(file: &Path) -> Result<Credentials, BusError> {
     let users = |reason: String| BusError::Users {
-        path: file.clone(),
+        path: file.to_owned(),
         reason,
     };
-    let text = std::fs::read_to_string(file).map_err(|error| users(error.to_string()))?;
+    let text = secret::read(file).map_err(|error| users(error.to_string()))?;
     text.lines()
         .filter_map(|line| line.split_once(':'))
         .find(|(user, _)| user.trim() == GATEWAY_USER_DEFAULT)

@@ -251,7 +251,7 @@ impl Fleet {
             let message = format!("the name of a schedule has at most {SCHEDULE_NAME_MAX} letters");
             return Err(JobError::new(ErrorCode::BadId, message));
         }
-        if !self.config.signers.is_empty() {
+        if self.config.signers.is_some() {
             let message = "an operator has to sign what is executed here, and nobody is there to \
                            sign the job of a schedule";
             return Err(JobError::new(ErrorCode::NotAllowed, message));

@@ -93,8 +93,9 @@ pub struct FleetConfig {
     /// Epoch of this gateway, newer than those of all that had the fleet before, see [`owner`]; 0:
     /// it has none, and nodes obey it until they have heard one that has.
     pub epoch: u32,
-    /// Public keys of operators: a job that none of them has signed is refused. None by default.
-    pub signers: Vec<[u8; 32]>,
+    /// Public keys of operators: a job that none of them has signed is refused, of an empty list each
+    /// one. `None`, the default: jobs need no signature.
+    pub signers: Option<Vec<[u8; 32]>>,
 }
 
 impl FleetConfig {
@@ -114,7 +115,7 @@ impl FleetConfig {
             stop_repeat_us: 500_000,
             release_patience_us: 3_000_000,
             epoch: 0,
-            signers: Vec::new(),
+            signers: None,
         }
     }
 }

@@ -186,7 +186,7 @@ impl Fleet {
         id: &JobId,
         prepared: &Prepared,
     ) -> Result<(), JobError> {
-        let signers = &self.config.signers;
+        let signers = self.config.signers.as_deref();
         let Some(signature) = &prepared.signature else {
             return demand_no_signature(signers);
         };
@@ -315,8 +315,8 @@ impl Fleet {
 }
 
 /// Refuses what is not signed, where signatures are asked for.
-pub(super) fn demand_no_signature(signers: &[[u8; 32]]) -> Result<(), JobError> {
-    if signers.is_empty() {
+pub(super) fn demand_no_signature(signers: Option<&[[u8; 32]]>) -> Result<(), JobError> {
+    if signers.is_none() {
         return Ok(());
     }
     let message = "an operator has to sign what is executed here (`fleet submit --sign`)";

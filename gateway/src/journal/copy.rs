@@ -179,6 +179,10 @@ impl CopyFile {
             }
             _ => {}
         }
+        super::make_private(&part).map_err(|source| CopyError::File {
+            path: part.clone(),
+            source,
+        })?;
         let database = Database::create(&part).map_err(|error| open_error(&part, error))?;
         let file = Self {
             database,

@@ -7,6 +7,12 @@
 //! | node | its own status, ack, clock, start, pace, trace, vitals, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
+//! **Stops.** The router lets a message pass if a rule's key includes its key. So a stop may be said on
+//! every key that ends in `/node/NODES/stop`, whatever is wild in it (`PREFIX/node/*/stop`,
+//! `plant/*/node/*/stop`, `**/node/left/stop`), put or deleted. Denied, without a word as by zenoh's ways,
+//! is a stop on a key that only includes such ones (`PREFIX/**`, `**/stop`, `PREFIX/node/**/stop`): to
+//! whoever may say that everything else may be said, too. An unsecured fleet takes it.
+//!
 //! A node cannot speak as another, whatever key it uses: rules go by the name under which it
 //! authenticated. People are let in by TLS only; a node also by plain TCP, where its password is not
 //! sent (it answers a challenge) but what it says can be read.
@@ -48,6 +54,9 @@ const FOLLOWED: [NodeTopic; 5] = [
     NodeTopic::Stop,
 ];
 
+/// How a stop is said.
+const STOPS: [&str; 2] = ["put", "delete"];
+
 const EVERYTHING: [&str; 9] = [
     "put",
     "delete",
@@ -60,6 +69,13 @@ const EVERYTHING: [&str; 9] = [
     "liveliness_query",
 ];
 
+/// Every key that names a stop, of any prefix. It names nothing else, but for a script and data of a node
+/// called [`AMBIGUOUS_NODE`], and below a prefix that ends in that word; and that is denied.
+const WIDE_STOP: &str = "**/node/*/stop";
+
+/// The node whose scripts have keys that look like a stop of `script`: it hears no wide stops.
+const AMBIGUOUS_NODE: &str = "node";
+
 /// Returns zenoh's setting `access_control` for these users.
 pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     let mut rules = Rules::default();
@@ -70,6 +86,9 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
         &EVERYTHING,
         vec![all.clone()],
     );
+    // A wide stop means the nodes of this gateway too.
+    let stops = vec![WIDE_STOP.to_owned()];
+    rules.add("gateway-stops", &["egress"], &STOPS, stops.clone());
 
     let each = |topics: &[NodeTopic]| -> Vec<String> {
         let every = topics.iter().map(|topic| keys.every_node(*topic));
@@ -95,7 +114,13 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     read.push(format!("{prefix}/manage/link/*"));
     rules.add("read", &["ingress"], &["query"], read.clone());
     rules.add("answers", &["egress"], &["reply"], read);
-    rules.add("stop", &["ingress"], &["put"], each(&[NodeTopic::Stop]));
+    rules.add("stop", &["ingress"], &STOPS, stops);
+    // What looks like a stop and is none.
+    let data = format!("{prefix}/node/*/{}/**", NodeTopic::Data.suffix());
+    let records = format!("{prefix}/job/*");
+    let scripts = format!("{prefix}/node/*/script/*");
+    rules.deny("no-forgery", &STOPS, vec![data, records]);
+    rules.deny("no-script", &STOPS, vec![scripts]);
 
     let mut work = each(&[
         NodeTopic::Job,
@@ -125,7 +150,15 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     rules.add("saved", &["egress"], &["reply"], store);
     rules.add("receipts", &["egress"], &["reply"], work);
 
-    let looks = ["follow", "ask", "alive", "read", "answers", "stop"];
+    let looks = [
+        "follow",
+        "ask",
+        "alive",
+        "read",
+        "answers",
+        "stop",
+        "no-forgery",
+    ];
     let mut policies = Vec::new();
     let mut subjects = Vec::new();
     for role in Role::ALL {
@@ -144,7 +177,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
         match role {
             Role::Gateway => {
                 subjects.push(json!({"id": "gateway", "usernames": names}));
-                policy("gateway", owned(&["gateway"]));
+                policy("gateway", owned(&["gateway", "gateway-stops"]));
             }
             Role::Operator => {
                 subjects.push(
@@ -158,7 +191,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
             Role::Viewer => {
                 subjects
                     .push(json!({"id": "viewers", "usernames": names, "link_protocols": ["tls"]}));
-                policy("viewers", owned(&looks));
+                policy("viewers", [owned(&looks), owned(&["no-script"])].concat());
             }
             Role::Node => {
                 for name in names {
@@ -191,6 +224,14 @@ impl Rules {
         }));
     }
 
+    /// What is denied to somebody stays denied, whatever is allowed.
+    fn deny(&mut self, id: &str, messages: &[&str], keys: Vec<String>) {
+        self.rules.push(json!({
+            "id": id, "permission": "deny", "flows": ["ingress"], "messages": messages,
+            "key_exprs": keys,
+        }));
+    }
+
     /// Adds the rules of one node and returns their names.
     fn of_node(&mut self, keys: &Keys, name: &NodeId) -> Vec<String> {
         let own = |topics: &[NodeTopic]| -> Vec<String> {
@@ -199,7 +240,10 @@ impl Rules {
         };
         // A stop on a wild key is heard under that key.
         let mut heard = own(&HEARD);
-        heard.push(keys.every_node(NodeTopic::Stop).to_string());
+        heard.push(match name.as_str() {
+            AMBIGUOUS_NODE => keys.every_node(NodeTopic::Stop).to_string(),
+            _ => WIDE_STOP.to_owned(),
+        });
         // Stored scripts: put, deleted and read on keys below one of its own; by a wild key too.
         let prefix = keys.prefix();
         let scripts = vec![format!("{prefix}/node/{name}/script/*")];

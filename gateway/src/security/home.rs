@@ -8,6 +8,7 @@ use super::{
 use keys::{
     Keys, NodeId,
     credentials::Credentials,
+    secret::{self, SecretError},
     signers::{self, SignerKey},
 };
 use serde_json::Value;
@@ -31,6 +32,8 @@ const ROUTER_KEY: &str = "router.key";
 const USERS: &str = "users";
 const HOSTS: &str = "hosts";
 const SIGNERS: &str = "signers";
+/// Says that jobs need a signature, whoever can give one.
+const SIGNING: &str = "signing";
 /// The users as the router reads them, written at every start.
 const DICTIONARY: &str = "router-users";
 
@@ -51,14 +54,9 @@ pub enum HomeError {
         /// How that showed.
         why: String,
     },
-    /// Others than the owner may read a secret.
-    #[error("{} may be read by others than its owner (mode {mode:03o}); chmod 600", .path.display())]
-    Exposed {
-        /// The file.
-        path: PathBuf,
-        /// Its permissions.
-        mode: u32,
-    },
+    /// A file with a secret cannot be read, or others than its owner may read it.
+    #[error(transparent)]
+    Secret(#[from] SecretError),
     /// The users file is wrong.
     #[error("{}: {why}", .path.display())]
     Users {
@@ -154,10 +152,12 @@ impl Home {
             if !path.exists() {
                 return Err(no_fleet(format!("there is no {secret}")));
             }
-            check_private(&path)?;
+            // Zenoh reads them by their names; nobody but the owner of the folder can exchange them.
+            secret::read(&path)?;
         }
         let path = folder.join(USERS);
-        let users = users::parse(&read(&path)?).map_err(|why| HomeError::Users { path, why })?;
+        let users =
+            users::parse(&secret::read(&path)?).map_err(|why| HomeError::Users { path, why })?;
         if !users.iter().any(|user| user.role == Role::Gateway) {
             return Err(no_fleet("its users have no gateway".to_owned()));
         }
@@ -263,16 +263,63 @@ impl Home {
         ])
     }
 
-    /// Returns whose signature counts; nobody: jobs need none.
+    /// Returns the signing keys that there are.
     ///
     /// # Errors
     /// See [`HomeError`]: the list is wrong.
     pub fn signers(&self) -> Result<Vec<SignerKey>, HomeError> {
+        Ok(self.signing()?.unwrap_or_default())
+    }
+
+    /// Returns whose signature counts; `None`: jobs need none.
+    ///
+    /// A fleet that had a key once goes on asking for signatures, whatever becomes of the list, until
+    /// [`Home::sign_no_more`]: revoking the last key, or losing the file, must not open the door.
+    ///
+    /// # Errors
+    /// See [`HomeError`]: the list is wrong, or nothing can be written.
+    pub fn signing(&self) -> Result<Option<Vec<SignerKey>>, HomeError> {
         let path = self.folder.join(SIGNERS);
         if !path.exists() {
-            return Ok(Vec::new());
+            return Ok(self.folder.join(SIGNING).exists().then(Vec::new));
         }
-        signers::parse(&read(&path)?).map_err(|why| HomeError::Users { path, why })
+        // Also for a fleet whose keys are older than this file.
+        self.mark_signing()?;
+        let read = signers::parse(&read(&path)?);
+        read.map(Some).map_err(|why| HomeError::Users { path, why })
+    }
+
+    fn mark_signing(&self) -> Result<(), HomeError> {
+        let mark = self.folder.join(SIGNING);
+        if mark.exists() {
+            return Ok(());
+        }
+        let words = "Jobs need a signature, also when nobody is left who can sign.\n\
+                     `fleet keys DIR off` ends that.\n";
+        write(&mark, words, false)
+    }
+
+    /// Lets jobs without a signature in again, from the gateway's next start. Keys that there are do
+    /// not count any more.
+    ///
+    /// # Errors
+    /// See [`HomeError`]: the fleet asks for no signatures, or a file cannot be removed.
+    pub fn sign_no_more(&mut self) -> Result<(), HomeError> {
+        if self.signing()?.is_none() {
+            let words = "this fleet asks for no signatures".to_owned();
+            return Err(HomeError::User(words));
+        }
+        // The list first: what is cut off between the two still asks for signatures.
+        for name in [SIGNERS, SIGNING] {
+            let path = self.folder.join(name);
+            match fs::remove_file(&path) {
+                Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                    return Err(HomeError::File { path, source });
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// Makes a signing key. Returns the file with the private half, to be handed to its owner.
@@ -289,6 +336,7 @@ impl Home {
         write(&path, &signer.secret(), true)?;
         let key = signer.public();
         signers.push(SignerKey { name, key });
+        self.mark_signing()?;
         write(&self.folder.join(SIGNERS), &signers::print(&signers), false)?;
         Ok(path)
     }
@@ -324,9 +372,7 @@ impl Home {
 /// # Errors
 /// It cannot be read, or others than its owner may read it.
 pub fn read_secret(path: &Path) -> Result<String, HomeError> {
-    let text = read(path)?;
-    check_private(path)?;
-    Ok(text)
+    Ok(secret::read(path)?)
 }
 
 /// Writes a file with a secret, for its owner only.
@@ -342,29 +388,6 @@ fn read(path: &Path) -> Result<String, HomeError> {
         path: path.to_owned(),
         source,
     })
-}
-
-#[cfg(unix)]
-fn check_private(path: &Path) -> Result<(), HomeError> {
-    use std::os::unix::fs::PermissionsExt as _;
-    let found = fs::metadata(path).map_err(|source| HomeError::File {
-        path: path.to_owned(),
-        source,
-    })?;
-    let mode = found.permissions().mode() & 0o777;
-    if mode & 0o077 != 0 {
-        return Err(HomeError::Exposed {
-            path: path.to_owned(),
-            mode,
-        });
-    }
-    Ok(())
-}
-
-#[cfg(not(unix))]
-fn check_private(_path: &Path) -> Result<(), HomeError> {
-    // The lists of other systems are inherited from the folder.
-    Ok(())
 }
 
 fn make_folder(folder: &Path) -> Result<(), HomeError> {
@@ -444,6 +467,30 @@ mod tests {
             Home::init(&folder, &[]),
             Err(HomeError::Exists(_))
         ));
+    }
+
+    #[test]
+    fn a_fleet_that_signs_goes_on_asking_for_signatures_until_it_is_told_otherwise() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut home = Home::init(folder.path(), &[]).expect("made");
+        let asked = |home: &Home| home.signing().expect("read").map(|keys| keys.len());
+        assert_eq!(asked(&home), None);
+        assert!(home.sign_no_more().is_err(), "it does not");
+        home.add_signer(name("alice")).expect("made");
+        assert_eq!(asked(&home), Some(1));
+        home.revoke_signer(&name("alice")).expect("revoked");
+        assert_eq!(asked(&home), Some(0), "the last one is revoked");
+        fs::remove_file(folder.path().join(SIGNERS)).expect("removed");
+        let mut home = Home::open(folder.path()).expect("opens");
+        assert_eq!(asked(&home), Some(0), "the list is lost");
+        home.sign_no_more().expect("told");
+        assert_eq!(asked(&home), None);
+        // A list from before there was a mark.
+        home.add_signer(name("bob")).expect("made");
+        fs::remove_file(folder.path().join(SIGNING)).expect("removed");
+        assert_eq!(asked(&home), Some(1));
+        fs::remove_file(folder.path().join(SIGNERS)).expect("removed");
+        assert_eq!(asked(&home), Some(0));
     }
 
     #[test]

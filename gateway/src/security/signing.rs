@@ -120,12 +120,13 @@ pub fn script_bytes(script: &str) -> &[u8] {
     }
 }
 
-/// Says why the node would refuse a job, as far as that is known before.
+/// Says why the node would refuse a job, as far as that is known before. `signers`: whose signature
+/// counts; `None`: anybody's.
 ///
 /// # Errors
 /// `not_allowed` with the reason.
 pub fn check(
-    signers: &[Hash],
+    signers: Option<&[Hash]>,
     statement: &Statement<'_>,
     signature: &JobSignature,
     boot: u32,
@@ -137,7 +138,7 @@ pub fn check(
     if signature.boot != boot {
         return not("it is for an earlier start of the node; sign the job again");
     }
-    if !signers.is_empty() && !signers.contains(&signature.key.0) {
+    if signers.is_some_and(|signers| !signers.contains(&signature.key.0)) {
         return not("nobody whose signature counts here has this key");
     }
     let Ok(key) = VerifyingKey::from_bytes(&signature.key.0) else {
@@ -248,14 +249,17 @@ mod tests {
         let of_left = statement(&left, &job, 7, 1, root);
         let of_right = statement(&right, &job, 7, 1, root);
         let signature = alice.sign(&of_left);
-        assert_eq!(check(&signers, &of_left, &signature, 7), Ok(()));
+        assert_eq!(check(Some(&signers), &of_left, &signature, 7), Ok(()));
         let refused = |statement, signature: &JobSignature, boot| {
-            let error = check(&signers, statement, signature, boot).expect_err("refused");
+            let error = check(Some(&signers), statement, signature, boot).expect_err("refused");
             assert_eq!(error.code, ErrorCode::NotAllowed);
             error.message
         };
         assert!(refused(&of_left, &signature, 8).contains("earlier start"));
         assert!(refused(&of_right, &signature, 7).contains("for this node"));
         assert!(refused(&of_left, &mallory.sign(&of_left), 7).contains("nobody"));
+        let nobody = check(Some(&[]), &of_left, &signature, 7).expect_err("all are revoked");
+        assert!(nobody.message.contains("nobody"), "{nobody:?}");
+        assert_eq!(check(None, &of_left, &signature, 7), Ok(()));
     }
 }

@@ -282,13 +282,10 @@ fn read_authority(file: &Path) -> Result<tls::Authority> {
 }
 
 fn credentials(user: &str, password_file: &Path) -> Result<Credentials> {
-    let password = std::fs::read_to_string(password_file)
-        .with_context(|| format!("--password-file {}", password_file.display()))?;
-    let password = password.trim_end_matches(['\r', '\n']);
-    ensure!(!password.is_empty(), "the password file is empty");
+    let password = keys::secret::read_password(password_file).context("--password-file")?;
     Ok(Credentials {
         user: user.to_owned(),
-        password: password.to_owned(),
+        password,
     })
 }
 

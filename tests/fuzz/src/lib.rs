@@ -14,19 +14,26 @@
 //! | [`node`] | a whole node, told anything in any order |
 //! | [`script`] | Lua |
 //! | [`tls`] | TLS of a node: records, what happens to them, certificates |
+//! | [`proof`] | what stands before an order: an epoch, a proof that it is signed |
+//! | [`signed`] | a whole node that asks for signatures, told anything by somebody who has no key |
+//! | [`jog`] | moves by hand as clients write them |
 //! | `store.rs` | the gateway's file, and what it takes up from it; apart, because it needs the gateway |
+//! | `gcode.rs` | G-code; apart for the same reason |
 //!
 //! Each module has `check`, and `seeds`: a few inputs that reach far.
 
 pub mod batch;
 pub mod flash;
 pub mod job;
+pub mod jog;
 pub mod key;
 pub mod node;
+pub mod proof;
 pub mod provision;
 pub mod reader;
 pub mod script;
 pub mod session;
+pub mod signed;
 pub mod tls;
 pub mod update;
 pub mod wire;
@@ -42,7 +49,7 @@ pub struct Target {
 }
 
 /// All targets that need no gateway.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 14] = [
     Target {
         name: "wire",
         check: wire::check,
@@ -97,6 +104,21 @@ pub const TARGETS: [Target; 11] = [
         name: "tls",
         check: tls::check,
         seeds: tls::seeds,
+    },
+    Target {
+        name: "proof",
+        check: proof::check,
+        seeds: proof::seeds,
+    },
+    Target {
+        name: "signed",
+        check: signed::check,
+        seeds: signed::seeds,
+    },
+    Target {
+        name: "jog",
+        check: jog::check,
+        seeds: jog::seeds,
     },
 ];
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
@@ -19,6 +20,17 @@ from .records import Arrangement, JobRecord, JobState, NodeRecord, Receipt
 
 # Largest text of a job.
 _JOB_BYTES_MAX = 64 << 20
+
+
+def _read_secret(path: Path) -> str:
+    """Reads a file that nobody but its owner may read: the file that is open, not its name."""
+    with path.open(encoding="utf-8") as file:
+        mode = os.fstat(file.fileno()).st_mode & 0o777
+        if os.name == "posix" and mode & 0o077:
+            raise PermissionError(
+                f"{path} may be read by others than its owner (mode {mode:03o}); chmod 600"
+            )
+        return file.read()
 
 
 class Fleet:
@@ -42,7 +54,7 @@ class Fleet:
         config.insert_json5("mode", '"client"')
         config.insert_json5("scouting/multicast/enabled", "false")
         if credentials is not None:
-            known = json.loads(Path(credentials).read_text())
+            known = json.loads(_read_secret(Path(credentials)))
             connect = connect or next(iter(known.get("connect", [])), None)
             login = "transport/auth/usrpwd"
             config.insert_json5(f"{login}/user", json.dumps(known["user"]))
@@ -224,7 +236,10 @@ class Fleet:
 
     def stop(self, pattern: str = "*", *, decelerate: bool = False) -> None:
         """Tells nodes to stop. It is a stop by software over a network: look at `nodes` whether they
-        have."""
+        have. `pattern` is a name or has `*` or `$*` in it, as everywhere."""
+        if "/" in pattern or "**" in pattern:
+            # The router of a secured fleet drops such a key without a word.
+            raise ValueError(f"{pattern}: one name, `*` for all nodes, or `$*` for a part of it")
         mode = "decelerate" if decelerate else "halt"
         self._session.put(
             f"{self._prefix}/node/{pattern}/stop",

@@ -631,6 +631,8 @@ pub(crate) enum KeysAct {
     },
     /// List the public halves.
     List,
+    /// Let jobs without a signature in again. Revoking the last key does not.
+    Off,
 }
 
 #[derive(Debug, Args)]

@@ -2,8 +2,7 @@
 
 use crate::args::{CONNECT_DEFAULT, Common};
 use client::{Fleet, FleetError};
-use gateway::security::home::read_secret;
-use keys::{Keys, NodeId, Topic, credentials::Credentials, record::ErrorReply};
+use keys::{Keys, NodeId, Topic, credentials::Credentials, record::ErrorReply, secret};
 use serde::de::DeserializeOwned;
 use std::{path::Path, time::Duration};
 use zenoh::{
@@ -100,7 +99,7 @@ pub(crate) struct Link {
 pub(crate) fn credentials(common: &Common) -> Result<Option<Credentials>, Failure> {
     if let Some(file) = &common.credentials {
         let usage = |error: String| Failure::Usage(format!("--credentials: {error}"));
-        let text = read_secret(file).map_err(|error| usage(error.to_string()))?;
+        let text = secret::read(file).map_err(|error| usage(error.to_string()))?;
         let read = Credentials::from_json(&text);
         let name = file.display();
         return read
@@ -120,15 +119,7 @@ pub(crate) fn credentials(common: &Common) -> Result<Option<Credentials>, Failur
 }
 
 fn read_password(file: &Path) -> Result<String, Failure> {
-    let name = file.display();
-    let text = std::fs::read_to_string(file)
-        .map_err(|error| Failure::Usage(format!("--password-file {name}: {error}")))?;
-    let password = text.trim_end_matches(['\r', '\n']);
-    if password.is_empty() {
-        let message = format!("--password-file {name}: the file is empty");
-        return Err(Failure::Usage(message));
-    }
-    Ok(password.to_owned())
+    secret::read_password(file).map_err(|error| Failure::Usage(format!("--password-file: {error}")))
 }
 
 impl Link {

@@ -122,6 +122,22 @@ pub(crate) fn keys(keys: &Keys, json: bool) -> Result<(), Failure> {
                     "the signature of {name} does not count from the gateway's next start; give {} to each node",
                     signers.display()
                 ));
+                if home.signers()?.is_empty() {
+                    show::line(
+                        "nobody is left who can sign: no job is taken then, until there is a key (new) or signatures are not asked for any more (off)",
+                    );
+                }
+            }
+            Ok(())
+        }
+        KeysAct::Off => {
+            home.sign_no_more()?;
+            if json {
+                show::line(&serde_json::json!({"signing": false}).to_string());
+            } else {
+                show::line(
+                    "from its next start the gateway takes jobs without a signature; a node asks for one until it is told otherwise (fleet provision PORT --no-signers)",
+                );
             }
             Ok(())
         }

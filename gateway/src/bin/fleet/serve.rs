@@ -17,7 +17,7 @@ use gateway::{
 pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> Result<(), Failure> {
     let reloads = supervisor::reloads(serve.config.clone());
     let joined = !config.connect.is_empty();
-    let open = config.secure.is_none();
+    let warning = unsecured(&config);
     let ready = move |ready: Ready<'_>| {
         let Ready {
             locators,
@@ -25,6 +25,10 @@ pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> R
             observer,
         } = ready;
         supervisor::ready(&locators.join(", "), observer);
+        // In the log and not among what programs read, whatever they read: somebody has to see it.
+        if let Some(warning) = warning {
+            tracing::warn!("{warning}");
+        }
         if json {
             let ready = serde_json::json!({ "ready": true, "locators": locators, "http": http });
             show::line(&ready.to_string());
@@ -40,11 +44,6 @@ pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> R
             show::line(&format!("the gateway is ready, connected to {locators}"));
         } else {
             show::line(&format!("the gateway is ready, listening on {locators}"));
-            if open {
-                show::line(
-                    "unsecured: whoever can connect can move the machines; `fleet init` makes a secured fleet",
-                );
-            }
         }
     };
     let until = async {
@@ -83,6 +82,24 @@ pub(crate) async fn serve(config: GatewayConfig, serve: &Serve, json: bool) -> R
             Err(Failure::Connection(error.to_string()))
         }
         Err(error) => Err(Failure::Failed(Some(error.to_string()))),
+    }
+}
+
+/// Returns what has to be said of a fleet that anybody may move.
+fn unsecured(config: &GatewayConfig) -> Option<&'static str> {
+    let joined = !config.connect.is_empty();
+    match (
+        joined,
+        config.secure.is_some(),
+        config.credentials.is_some(),
+    ) {
+        (false, true, _) | (true, _, true) => None,
+        (false, false, _) => Some(
+            "unsecured: whoever can connect can move the machines; `fleet init` makes a secured fleet",
+        ),
+        (true, _, false) => Some(
+            "unsecured: this network lets a gateway in without a password; whoever can connect can move the machines",
+        ),
     }
 }
 

@@ -29,6 +29,10 @@ pub(crate) fn ready(where_it_listens: &str, observer: &Observer) {
         let mut beats = tokio::time::interval(limit / 3);
         loop {
             beats.tick().await;
+            if observer.is_gone() {
+                // The next one has a watch of its own.
+                return;
+            }
             match observer.snapshot().await {
                 Some(_) => notify(&[NotifyState::Watchdog]),
                 None => tracing::error!("the fleet does not answer; the watchdog is not fed"),

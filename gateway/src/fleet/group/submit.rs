@@ -137,7 +137,7 @@ impl Fleet {
         request: &GroupRequest,
         commands: &[Command],
     ) -> Result<(), JobError> {
-        let signers = &self.config.signers;
+        let signers = self.config.signers.as_deref();
         let Some(signature) = request.signatures.get(&node) else {
             return demand_no_signature(signers);
         };
