@@ -146,7 +146,7 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     assert_eq!(code, Some(1), "without a network it is not complete");
 
     let secret = file("wifi.txt");
-    std::fs::write(&secret, format!("{SECRET}\n")).expect("written");
+    gateway::security::home::write_secret(&secret, &format!("{SECRET}\n")).expect("written");
     let told = [
         "--name",
         "left",

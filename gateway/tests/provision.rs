@@ -4,7 +4,10 @@
 
 use assert_cmd::Command;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use gateway::security::{Home, Role, home::read_secret};
+use gateway::security::{
+    Home, Role,
+    home::{read_secret, write_secret},
+};
 use keys::{NodeId, credentials::Credentials};
 use provision::{Dialogue, Record, Store, frame::FRAME_BYTES_MAX};
 use serialport::{SerialPort, TTYPort};
@@ -129,7 +132,7 @@ fn a_node_is_told_its_name_network_and_router_and_says_no_secret() {
     let board = Board::new(false);
     let files = tempfile::tempdir().expect("a folder");
     let password = files.path().join("wifi");
-    std::fs::write(&password, "correct horse\n").expect("written");
+    write_secret(&password, "correct horse\n").expect("written");
     let password = password.to_str().expect("a path");
     let (code, out, err) = board.fleet(&[
         "--name",

@@ -156,7 +156,8 @@ fn a_board_is_told_everything_over_its_line_and_remembers_it_without_power() {
         router: gateway.connect.clone(),
         said: String::new(),
     };
-    desk.write("wifi.txt", "correct horse\n");
+    let wifi = desk.folder.path().join("wifi.txt");
+    gateway::security::home::write_secret(&wifi, "correct horse\n").expect("written");
     desk.write("boot.lua", "motor.queue_move(0, 100, 30)\nwait_idle()\n");
     let job = json!({"commands": [{"move": {"axis": 0, "delay_us": 100, "steps": 5}}]});
     desk.write("job.json", &job.to_string());

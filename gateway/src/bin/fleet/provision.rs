@@ -200,7 +200,7 @@ impl Provision {
         settings.extend(self.name.map(Setting::Name));
         if let Some(ssid) = &self.wifi {
             let password = match &self.wifi_password_file {
-                Some(file) => secret(file, "--wifi-password-file")?,
+                Some(file) => password(file, "--wifi-password-file")?,
                 None => String::new(),
             };
             settings.push(Setting::Network(Network {
@@ -230,7 +230,7 @@ impl Provision {
         if let (Some(user), Some(file)) = (&common.user, &common.password_file) {
             settings.push(Setting::Login(Some(Login {
                 user: short(user, "--user")?,
-                password: short(&secret(file, "--password-file")?, "--password-file")?,
+                password: short(&password(file, "--password-file")?, "--password-file")?,
             })));
         }
         let fleet_keys = common.keys();
@@ -238,7 +238,7 @@ impl Provision {
             settings.push(Setting::Prefix(short(fleet_keys.prefix(), "--prefix")?));
         }
         if let Some(file) = &self.update_key_file {
-            let text = secret(file, "--update-key-file")?;
+            let text = line(file, "--update-key-file")?;
             let key = key_from_hex(&text).ok_or_else(|| {
                 Failure::Usage("--update-key-file: 64 hexadecimal digits are wanted".into())
             })?;
@@ -338,7 +338,12 @@ fn none_or(list: &[String], between: &str) -> String {
     }
 }
 
-fn secret(file: &Path, option: &str) -> Result<String, Failure> {
+fn password(file: &Path, option: &str) -> Result<String, Failure> {
+    keys::secret::read_password(file).map_err(|error| Failure::Usage(format!("{option}: {error}")))
+}
+
+/// Reads what is no secret.
+fn line(file: &Path, option: &str) -> Result<String, Failure> {
     let text = std::fs::read_to_string(file)
         .map_err(|error| Failure::Usage(format!("{option} {}: {error}", file.display())))?;
     Ok(text.trim_end_matches(['\r', '\n']).to_owned())
@@ -357,7 +362,7 @@ fn authority(file: &Path) -> Result<Authority, Failure> {
 
 fn signers(file: &Path) -> Result<Vec<[u8; 32]>, Failure> {
     let bad = |why: &str| Failure::Usage(format!("--signers {}: {why}", file.display()));
-    let list = keys::signers::parse(&secret(file, "--signers")?).map_err(|why| bad(&why))?;
+    let list = keys::signers::parse(&line(file, "--signers")?).map_err(|why| bad(&why))?;
     match list.len() {
         0 => Err(bad("there is no key in it")),
         1..=SIGNERS_MAX => Ok(list.iter().map(|signer| signer.key.0).collect()),
