@@ -112,6 +112,9 @@ const OCTET_STREAM: u16 = 3;
 const TEXT_PLAIN: u16 = 4;
 const JSON: u16 = 5;
 
+/// The chunk before a stored script's name.
+const SCRIPT: &str = "script";
+
 /// The key of stored scripts.
 type ScriptKey = heapless::String<DATA_KEY_BYTES_MAX>;
 
@@ -188,7 +191,7 @@ impl NodeLink {
         ];
         let mut scripts = ScriptKey::new();
         // Cannot fail: it was counted.
-        let _ = write!(scripts, "{}/node/{name}/script", keys.prefix());
+        let _ = write!(scripts, "{}/node/{name}/{SCRIPT}", keys.prefix());
         let every = format!("{scripts}/*");
         let store = session.declare_subscriber(&every)?;
         let shelf = session.declare_queryable(&every, true)?;
@@ -246,9 +249,10 @@ impl NodeLink {
                     host.handle(now, Inbound::LinkDown);
                 }
                 Event::Message { subscriber, sample } if subscriber == self.store => {
-                    let name = sample.key.rsplit('/').next().unwrap_or_default();
-                    let text = (sample.kind == SampleKind::Put).then_some(&sample.payload[..]);
-                    host.store_script(now, name, text);
+                    if let Some(name) = script_named(&sample.key) {
+                        let text = (sample.kind == SampleKind::Put).then_some(&sample.payload[..]);
+                        host.store_script(now, name, text);
+                    }
                 }
                 Event::Query {
                     query,
@@ -499,5 +503,32 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         congestion,
         express,
         ..PutOptions::default()
+    }
+}
+
+/// Returns which script a put or delete on this key means. A key that is about other things and merely
+/// includes ours, as a stop on `fleet/**/stop` does, means none.
+fn script_named(key: &str) -> Option<&str> {
+    let (place, name) = key.rsplit_once('/')?;
+    (place.rsplit('/').next() == Some(SCRIPT)).then_some(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_key_of_a_script_stores_one() {
+        for (key, name) in [
+            ("fleet/node/left/script/boot", Some("boot")),
+            ("fleet/node/*/script/boot", Some("boot")),
+            ("**/script/boot", Some("boot")),
+            ("fleet/node/**/stop", None),
+            ("**/stop", None),
+            ("fleet/**", None),
+            ("**", None),
+        ] {
+            assert_eq!(script_named(key), name, "{key}");
+        }
     }
 }
