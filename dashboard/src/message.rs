@@ -3,7 +3,7 @@
 use crate::request::{Language, Order, Scope, Ticket};
 use keys::{
     JobId, NodeId, Status, StopMode, Vitals,
-    record::{JobError, JobRecord, LinkRecord, NodeRecord, Receipt},
+    record::{JobError, JobRecord, LinkRecord, NodeRecord, Receipt, StartPlan},
 };
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,8 @@ pub enum Message {
     },
     /// A job changed, or is told for the first time.
     Job(Box<JobRecord>),
+    /// When a synchronized job starts.
+    StartPlan(StartPlan),
     /// A node wrote a line.
     Log {
         /// The node.

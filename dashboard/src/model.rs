@@ -108,7 +108,7 @@ impl Model {
                 if let Some(promised_us) = self.jobs.promised_skew_us(&record) {
                     self.alarms.job(at, &record, promised_us);
                 }
-                self.jobs.record(at, *record);
+                self.jobs.record(*record);
             }
             Message::Log { node, text } => self.log.push(at, Source::Node(node), text),
             Message::Unreadable { key, why } => {
@@ -159,6 +159,7 @@ impl Model {
                     self.orders.asked(at, ticket, node, order);
                 }
             }
+            Message::StartPlan(plan) => self.jobs.plan(at, &plan),
             Message::Answer { ticket, answer } => self.answer(at, ticket, answer),
             Message::File { ticket, outcome } => self.file = Some((ticket, outcome)),
             Message::Travels(links) => {

@@ -65,6 +65,11 @@ pub enum Topic<'k> {
         /// A job's name, or a wild chunk.
         job: &'k str,
     },
+    /// `PREFIX/manage/start/JOB`
+    StartPlan {
+        /// A job's name, or a wild chunk.
+        job: &'k str,
+    },
 }
 
 impl Default for Keys {
@@ -127,6 +132,16 @@ impl Keys {
         self.build(&["job", "*"])
     }
 
+    /// Returns `PREFIX/manage/start/JOB`.
+    pub fn start_plan(&self, job: &JobId) -> KeyText {
+        self.build(&["manage", "start", job.as_str()])
+    }
+
+    /// Returns `PREFIX/manage/start/*`.
+    pub fn every_start_plan(&self) -> KeyText {
+        self.build(&["manage", "start", "*"])
+    }
+
     /// Returns `PREFIX/job/JOB/cancel`.
     pub fn job_cancel(&self, job: &JobId) -> KeyText {
         self.build(&["job", job.as_str(), "cancel"])
@@ -160,6 +175,7 @@ impl Keys {
             ("group", group, Some("job"), None) => Some(Topic::GroupJob { group }),
             ("job", job, None, None) => Some(Topic::Job { job }),
             ("job", job, Some("cancel"), None) => Some(Topic::JobCancel { job }),
+            ("manage", "start", Some(job), None) => Some(Topic::StartPlan { job }),
             _ => None,
         }
     }
@@ -188,6 +204,14 @@ mod tests {
             );
         }
         let job = JobId::new("part-0815").expect("legal");
+        assert_eq!(
+            keys.parse(&keys.start_plan(&job)),
+            Some(Topic::StartPlan { job: "part-0815" })
+        );
+        assert_eq!(
+            keys.parse(&keys.every_start_plan()),
+            Some(Topic::StartPlan { job: "*" })
+        );
         assert_eq!(keys.job(&job).as_str(), "plant-1/fleet/job/part-0815");
         assert_eq!(
             keys.parse(&keys.job(&job)),
@@ -233,5 +257,7 @@ mod tests {
         let keys = Keys::new(longest).expect("legal");
         let node = NodeId::new("01234567890123456789012345678901").expect("legal");
         assert_eq!(keys.node(&node, NodeTopic::Release).len(), KEY_BYTES_MAX);
+        let job = JobId::new(node.as_str()).expect("legal");
+        assert!(keys.start_plan(&job).len() <= KEY_BYTES_MAX);
     }
 }

@@ -1,9 +1,6 @@
 //! What clients read: job records, node records, receipts and errors, as JSON.
 
-use crate::{
-    AxisId, FleetMicros, GroupId, JobId, NodeId, NodeState, StopReason,
-    units::{rfc3339, rfc3339_option},
-};
+use crate::{AxisId, FleetMicros, GroupId, JobId, NodeId, NodeState, StopReason, units::rfc3339};
 use serde::{Deserialize, Serialize};
 use std::{borrow::ToOwned, boxed::Box, collections::BTreeMap, string::String, vec::Vec};
 
@@ -227,9 +224,6 @@ pub struct StartRecord {
     pub by_node_us: BTreeMap<NodeId, f64>,
     /// How far the skew may be wrong, µs.
     pub uncertainty_us: f64,
-    /// The largest skew that the job was promised, µs; `None` from a gateway that does not tell.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_skew_us: Option<f64>,
 }
 
 /// A job's record, on `PREFIX/job/JOB`.
@@ -259,14 +253,6 @@ pub struct JobRecord {
     pub result: Option<JobResult>,
     /// The parts of a synchronized job, by node.
     pub parts: Option<BTreeMap<NodeId, PartRecord>>,
-    /// The instant at which a synchronized job starts, from when it is fixed until every node has
-    /// started or the job ends without.
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        with = "rfc3339_option"
-    )]
-    pub starts_at: Option<FleetMicros>,
     /// The start of a synchronized job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Box<StartRecord>>,
@@ -359,6 +345,22 @@ pub struct ClockRecord {
     pub error_us: f64,
     /// How much faster than the gateway's it runs, parts per million.
     pub drift_ppm: f64,
+}
+
+/// The plan of a synchronized start, put on `PREFIX/manage/start/JOB` when the instant is fixed. The
+/// record of the job has `start` when it is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StartPlan {
+    /// The job.
+    pub job: JobId,
+    /// When this was written, by the gateway's clock.
+    #[serde(with = "rfc3339")]
+    pub told: FleetMicros,
+    /// The instant, by the same clock.
+    #[serde(with = "rfc3339")]
+    pub starts_at: FleetMicros,
+    /// The largest skew that the job is promised, µs.
+    pub max_skew_us: f64,
 }
 
 /// How long messages travel between the gateway and a node, there and back, on

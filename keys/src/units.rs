@@ -159,39 +159,6 @@ pub mod rfc3339 {
     }
 }
 
-#[cfg(feature = "json")]
-pub mod rfc3339_option {
-    //! `#[serde(with = "rfc3339_option")]` for an instant in JSON that may be missing.
-    use super::{FleetMicros, rfc3339};
-    use serde::{Deserialize, Deserializer, Serializer};
-
-    #[derive(Deserialize)]
-    struct Instant(#[serde(with = "rfc3339")] FleetMicros);
-
-    /// Writes the instant as RFC 3339, or null.
-    ///
-    /// # Errors
-    /// Those of the serializer.
-    pub fn serialize<S: Serializer>(at: &Option<FleetMicros>, to: S) -> Result<S::Ok, S::Error> {
-        match at {
-            Some(at) => rfc3339::serialize(at, to),
-            None => to.serialize_none(),
-        }
-    }
-
-    /// Reads the instant from RFC 3339, or null.
-    ///
-    /// # Errors
-    /// Anything else.
-    pub fn deserialize<'de, D>(from: D) -> Result<Option<FleetMicros>, D::Error>
-    where
-        D: Deserializer<'de>,
-    {
-        let instant = Option::<Instant>::deserialize(from)?;
-        Ok(instant.map(|Instant(at)| at))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     extern crate std;

@@ -13,7 +13,7 @@ use crate::{
 use keys::{
     Keys, NodeId, NodeTopic, Status, Topic, Vitals,
     credentials::Credentials,
-    record::{JobRecord, NodeRecord},
+    record::{JobRecord, NodeRecord, StartPlan},
     version,
 };
 use std::{
@@ -354,6 +354,7 @@ async fn subscribe(
     let mut expressions: Vec<String> = Vec::new();
     expressions.extend(topics.map(|topic| keys.every_node(topic).as_str().to_owned()));
     expressions.push(keys.every_job().as_str().to_owned());
+    expressions.push(keys.every_start_plan().as_str().to_owned());
     for expression in expressions {
         let (keys, inbox) = (keys.clone(), Arc::clone(inbox));
         session
@@ -382,7 +383,7 @@ async fn subscribe(
 fn node_of(keys: &Keys, sample: &Sample) -> Option<NodeId> {
     match keys.parse(sample.key_expr().as_str())? {
         Topic::Node { node, .. } => NodeId::new(node).ok(),
-        Topic::GroupJob { .. } | Topic::Job { .. } | Topic::JobCancel { .. } => None,
+        _ => None,
     }
 }
 
@@ -397,6 +398,9 @@ pub(super) fn inbox_sample(keys: &Keys, inbox: &Inbox, sample: &Sample) {
         }
         Some(Topic::Job { .. }) => serde_json::from_slice::<JobRecord>(&payload)
             .map(|record| Some(Message::Job(Box::new(record))))
+            .map_err(|error| error.to_string()),
+        Some(Topic::StartPlan { .. }) => serde_json::from_slice::<StartPlan>(&payload)
+            .map(|plan| Some(Message::StartPlan(plan)))
             .map_err(|error| error.to_string()),
         _ => return,
     };

@@ -368,8 +368,16 @@ mod tests {
             skew_us,
             by_node_us: std::collections::BTreeMap::new(),
             uncertainty_us: 20.0,
-            max_skew_us: Some(1_000.0),
         };
+        let promise = |name: &str, max_skew_us| {
+            Message::StartPlan(keys::record::StartPlan {
+                job: keys::JobId::new(name).expect("a name"),
+                told: FleetMicros(1),
+                starts_at: FleetMicros(2),
+                max_skew_us,
+            })
+        };
+        model.apply(at(900), promise("cut", 1_000.0));
         for (version, skew_us) in [(1, 900.0), (2, 1_200.0), (3, 1_200.0)] {
             late.version = version;
             late.start = Some(Box::new(start(skew_us, at(0).0)));
@@ -382,11 +390,10 @@ mod tests {
         model.apply(at(1_000), Message::Job(Box::new(old)));
         assert_eq!(told(&model).len(), 1);
         // What others were promised is theirs to say; without a word nobody knows.
-        for (name, promised_us) in [("theirs", Some(8_000.0)), ("silent", None)] {
+        model.apply(at(900), promise("theirs", 8_000.0));
+        for name in ["theirs", "silent"] {
             let mut other = job(name, at(0).0, 1, keys::record::JobState::Running);
-            let mut start = start(5_000.0, at(0).0);
-            start.max_skew_us = promised_us;
-            other.start = Some(Box::new(start));
+            other.start = Some(Box::new(start(5_000.0, at(0).0)));
             model.apply(at(1_000), Message::Job(Box::new(other)));
         }
         assert_eq!(told(&model).len(), 1);

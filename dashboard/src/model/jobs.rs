@@ -5,7 +5,11 @@ use crate::{
     message::{Answer, Moment},
     request::{Language, Ticket},
 };
-use keys::{FleetMicros, JobId, job::GroupRequest, record::JobRecord};
+use keys::{
+    FleetMicros, JobId,
+    job::GroupRequest,
+    record::{JobRecord, StartPlan},
+};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// How the target of a synchronized job begins, see [`Target`](crate::request::Target).
@@ -57,6 +61,8 @@ pub struct Jobs {
     records: BTreeMap<JobId, JobRecord>,
     // By this window's clock; of those alone whose start is fixed and not over.
     starts: BTreeMap<JobId, Moment>,
+    /// Largest skews that synchronized jobs were promised, µs.
+    promised: BTreeMap<JobId, f64>,
     cancels: VecDeque<Cancel>,
     by_age: BTreeSet<(FleetMicros, JobId)>,
     sent: VecDeque<Sent>,
@@ -64,7 +70,26 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    pub(super) fn record(&mut self, at: Moment, record: JobRecord) {
+    pub(super) fn plan(&mut self, at: Moment, plan: &StartPlan) {
+        // One of a job whose record nobody keeps would stay for ever.
+        if self.promised.len() >= JOBS_MAX {
+            self.promised
+                .retain(|job, _| self.records.contains_key(job));
+            self.starts.retain(|job, _| self.records.contains_key(job));
+        }
+        self.promised.insert(plan.job, plan.max_skew_us);
+        let known = self.records.get(&plan.job);
+        if known.is_some_and(|record| record.start.is_some() || record.state.is_final()) {
+            return;
+        }
+        // The gateway's clock may be another one: the plan was true when it was written, and that is
+        // now.
+        let left_us = plan.starts_at.0.saturating_sub(plan.told.0);
+        self.starts.insert(plan.job, at.plus_us(left_us));
+        self.revision += 1;
+    }
+
+    pub(super) fn record(&mut self, record: JobRecord) {
         let key = (record.created, record.job);
         match self.records.get(&record.job) {
             // An id that was made again after its record was forgotten starts at version 1.
@@ -81,22 +106,13 @@ impl Jobs {
                 if let Some((_, oldest)) = self.by_age.pop_first() {
                     self.records.remove(&oldest);
                     self.starts.remove(&oldest);
+                    self.promised.remove(&oldest);
                 }
             }
             None => {}
         }
-        match record.starts_at {
-            // The gateway's clock may be another one: the record was true when it was written, and
-            // that is now.
-            Some(starts_at) => {
-                let left_us = starts_at.0.saturating_sub(record.updated.0);
-                let starts = at.plus_us(left_us);
-                let known = self.starts.entry(record.job).or_insert(starts);
-                *known = starts.min(*known);
-            }
-            None => {
-                self.starts.remove(&record.job);
-            }
+        if record.start.is_some() || record.state.is_final() {
+            self.starts.remove(&record.job);
         }
         self.by_age.insert(key);
         self.records.insert(record.job, record);
@@ -205,7 +221,7 @@ impl Jobs {
     /// else what this window asked for. `None` if neither is known: then nobody can say whether it
     /// was kept.
     pub(super) fn promised_skew_us(&self, record: &JobRecord) -> Option<f64> {
-        let told = record.start.as_ref().and_then(|start| start.max_skew_us);
+        let told = self.promised.get(&record.job).copied();
         let sent = || self.sent().find(|sent| sent.is(&record.job));
         let asked = || Some(sent()?.max_skew_us.unwrap_or(SKEW_PROMISED_US));
         told.or_else(asked)
@@ -225,7 +241,10 @@ mod tests {
         model::{Model, tests::*},
         request::Ticket,
     };
-    use keys::{FleetMicros, JobId, record::JobState};
+    use keys::{
+        FleetMicros, JobId,
+        record::{JobState, StartPlan},
+    };
 
     #[test]
     fn a_start_is_counted_down_by_this_computers_own_clock() {
@@ -234,16 +253,22 @@ mod tests {
         // The gateway's clock is an hour ahead.
         let written_us = at(3_600_000).0;
         let mut record = job("cut", written_us, 1, JobState::Sent);
-        record.starts_at = Some(FleetMicros(written_us + 250_000));
         model.apply(at(1_000), Message::Job(Box::new(record.clone())));
+        let plan = StartPlan {
+            job: id,
+            told: FleetMicros(written_us),
+            starts_at: FleetMicros(written_us + 250_000),
+            max_skew_us: 1_000.0,
+        };
+        model.apply(at(1_000), Message::StartPlan(plan));
         assert_eq!(model.jobs().starts(&id), Some(at(1_250)));
         assert!(model.jobs().is_counting_down(at(1_249)));
         assert!(!model.jobs().is_counting_down(at(1_250)));
-        // Told again with progress, a little late on the way: the start itself does not move.
+        // Told with progress: the start itself does not move.
         (record.version, record.updated) = (2, FleetMicros(written_us + 100_000));
         model.apply(at(1_120), Message::Job(Box::new(record.clone())));
         assert_eq!(model.jobs().starts(&id), Some(at(1_250)));
-        (record.version, record.starts_at) = (3, None);
+        (record.version, record.state) = (3, JobState::Succeeded);
         model.apply(at(1_300), Message::Job(Box::new(record)));
         assert_eq!(model.jobs().starts(&id), None);
     }

@@ -80,7 +80,6 @@ pub(super) fn job(name: &str, created_us: u64, version: u64, state: JobState) ->
         error: None,
         result: None,
         parts: None,
-        starts_at: None,
         start: None,
     }
 }

@@ -342,7 +342,7 @@ fn parts_ui(ui: &mut Ui, model: &Model, view: &mut View) {
 fn light_ui(ui: &mut Ui, model: &Model, record: Option<&JobRecord>, id: &NodeId) {
     let part = record.and_then(|record| record.parts.as_ref()?.get(id));
     let node = model.node(id);
-    let ready = record.is_some_and(|record| record.starts_at.is_some())
+    let ready = record.is_some_and(|record| model.jobs().starts(&record.job).is_some())
         || node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
     match part {
         Some(part) if part.state == JobState::Sent && ready => {

@@ -355,9 +355,6 @@ fn facts_ui(ui: &mut Ui, record: &JobRecord) {
             facts.push(("returned", returned.to_string()));
         }
     }
-    if let Some(starts_at) = record.starts_at {
-        facts.push(("planned start", text::date_and_time(starts_at)));
-    }
     if let Some(start) = &record.start {
         facts.push(("planned start", text::date_and_time(start.planned)));
         facts.push(("start", outcome(record)));

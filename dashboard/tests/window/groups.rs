@@ -11,7 +11,7 @@ use dashboard::{
 use keys::{
     FleetMicros, GroupId,
     job::GroupRequest,
-    record::{JobRecord, JobState, PartRecord, Progress, Receipt, StartRecord},
+    record::{JobRecord, JobState, PartRecord, Progress, Receipt, StartPlan, StartRecord},
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -90,15 +90,23 @@ fn told(screen: &mut Window, version: u64, mut record: JobRecord) {
     screen.run_steps(2);
 }
 
-/// The record when the instant is fixed: half a second after it.
-fn fixed() -> JobRecord {
-    let mut fixed = record(JobState::Sent, None);
-    for part in fixed.parts.iter_mut().flatten() {
+/// The record when all are ready.
+fn ready() -> JobRecord {
+    let mut ready = record(JobState::Sent, None);
+    for part in ready.parts.iter_mut().flatten() {
         part.1.state = JobState::Sent;
     }
-    fixed.updated = FleetMicros(at_ms(700).0);
-    fixed.starts_at = Some(FleetMicros(at_ms(1_200).0));
-    fixed
+    ready
+}
+
+/// The instant is fixed: half a second ahead, by the gateway's clock.
+fn plan() -> StartPlan {
+    StartPlan {
+        job: job("cut-9"),
+        told: FleetMicros(at_ms(700).0),
+        starts_at: FleetMicros(at_ms(1_200).0),
+        max_skew_us: 1_000.0,
+    }
 }
 
 fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
@@ -110,7 +118,6 @@ fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
             .map(|(name, us)| (node(name), *us))
             .collect(),
         uncertainty_us: 55.0,
-        max_skew_us: Some(1_000.0),
     }
 }
 
@@ -119,7 +126,9 @@ fn a_synchronized_job_is_followed_from_ready_to_the_measured_skew() {
     let mut screen = sent();
     told(&mut screen, 4, record(JobState::Sent, None));
     assert!(shows(&screen, "1 of 2 ready"));
-    told(&mut screen, 5, fixed());
+    told(&mut screen, 5, ready());
+    tell(screen.state_mut(), at_ms(1_000), Message::StartPlan(plan()));
+    screen.run_steps(2);
     assert!(shows(&screen, "all ready, starts in 500.0 ms"));
     let repeat = screen.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay;
     assert!(repeat <= dashboard::app::FRAME_EVERY, "{repeat:?}");
@@ -173,7 +182,7 @@ fn a_node_that_is_not_there_is_named_before_sending() {
     assert!(shows(&screen, "not there: cell-b-3"));
 }
 
-fn picture_of_record(name: &str, record: impl Fn() -> JobRecord) {
+fn picture_of_record(name: &str, record: impl Fn() -> JobRecord, plan: Option<StartPlan>) {
     picture_of(name, || {
         let mut dashboard = editing();
         let selection = dashboard.view.selection.clone();
@@ -199,19 +208,23 @@ fn picture_of_record(name: &str, record: impl Fn() -> JobRecord) {
         );
         let record = Message::Job(Box::new(record()));
         tell(&mut dashboard, at_ms(1_000), record);
+        if let Some(plan) = plan {
+            tell(&mut dashboard, at_ms(1_000), Message::StartPlan(plan));
+        }
         dashboard
     });
 }
 
 #[test]
 fn picture_of_a_synchronized_job() {
-    picture_of_record("group_job", || {
+    let record = || {
         let measured = start(900, &[("cell-a-2", 0.0), ("cell-a-3", 38.2)]);
         record(JobState::Running, Some(measured))
-    });
+    };
+    picture_of_record("group_job", record, None);
 }
 
 #[test]
 fn picture_of_a_countdown() {
-    picture_of_record("countdown", fixed);
+    picture_of_record("countdown", ready, Some(plan()));
 }

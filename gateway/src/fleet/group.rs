@@ -34,7 +34,7 @@ use crate::job::{
 use keys::{
     FleetMicros, JobId, NodeId, NodeTopic, StopMode,
     job::{GroupRequest, Work},
-    record::{ErrorCode, JobError, JobState},
+    record::{ErrorCode, JobError, JobState, StartPlan, to_json},
     start::StartMessage,
 };
 use std::collections::{BTreeMap, BTreeSet};
@@ -295,19 +295,20 @@ impl Fleet {
                         let group = self.groups.get(id);
                         let start = group.and_then(|group| group.start.as_ref());
                         let named = start.and_then(|start| start.named(number));
-                        let note = |job: &mut Job| {
-                            if let Some(group) = &mut job.entry.group {
-                                group.planned.insert(number, at);
-                                group.named.extend(named.map(|named| (number, named)));
-                            }
-                        };
-                        if number == 0 {
-                            // Clients count down to it.
-                            self.book.prepare_whole(id, note);
-                            self.book.gather(id, self.now, effects);
-                        } else {
-                            self.book.edit_whole(id, note, effects);
+                        let max_skew_us = start.and_then(|start| start.max_skew_us(number));
+                        if let (0, Some(max_skew_us)) = (number, max_skew_us) {
+                            effects.push(self.start_plan(id, at, max_skew_us));
                         }
+                        self.book.edit_whole(
+                            id,
+                            |job| {
+                                if let Some(group) = &mut job.entry.group {
+                                    group.planned.insert(number, at);
+                                    group.named.extend(named.map(|named| (number, named)));
+                                }
+                            },
+                            effects,
+                        );
                     }
                     Step::Met => self.book.edit_whole(
                         id,
@@ -328,6 +329,22 @@ impl Fleet {
                     }
                 }
             }
+        }
+    }
+
+    /// Tells clients when a job starts, so that they can count down.
+    fn start_plan(&self, id: &JobId, starts_at: FleetMicros, max_skew_us: f64) -> Effect {
+        let plan = StartPlan {
+            job: *id,
+            told: self.now,
+            starts_at,
+            max_skew_us,
+        };
+        Effect::Publish {
+            key: self.config.keys.start_plan(id).as_str().to_owned(),
+            payload: to_json(&plan),
+            json: true,
+            lane: Lane::Record,
         }
     }
 

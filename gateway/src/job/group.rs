@@ -157,10 +157,6 @@ impl Job {
         } else {
             self.note_parts();
         }
-        let ends = self.entry.ending.is_some();
-        let group = self.entry.group.as_ref().filter(|_| !ends);
-        let starts_at = group.and_then(|group| group.planned.get(&0).copied());
-        self.entry.record.starts_at = starts_at;
     }
 
     fn conclusion(&self) -> Change {

@@ -427,7 +427,6 @@ pub(crate) fn new_record(
         error: None,
         result: None,
         parts: None,
-        starts_at: None,
         start: None,
     }
 }

@@ -99,6 +99,7 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     let alive = each(&[NodeTopic::Alive]);
     let mut followed = each(&FOLLOWED);
     followed.extend(jobs.clone());
+    followed.push(keys.every_start_plan().to_string());
     followed.push(format!("{prefix}/node/*/{}/**", NodeTopic::Data.suffix()));
     rules.add("follow", &["egress"], &["put"], followed);
     let asks = [

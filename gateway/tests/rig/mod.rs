@@ -26,7 +26,7 @@ use gateway::{
 };
 use keys::{
     FleetMicros, JobId, Keys, NodeId, NodeTopic, StopMode, Topic,
-    record::{JobRecord, JobState, NodeRecord},
+    record::{JobRecord, JobState, NodeRecord, StartPlan},
     start::StartMessage,
 };
 use serde_json::Value;
@@ -126,6 +126,8 @@ pub struct Rig {
     /// Every record that was published, in order.
     pub records: Vec<JobRecord>,
     pub node_records: Vec<(u64, NodeRecord)>,
+    /// Plans of starts, in order.
+    pub plans: Vec<StartPlan>,
     /// Messages to nodes: the number of the call that sent it, topic and lane.
     pub sent: Vec<(u64, NodeId, NodeTopic, Lane, Vec<u8>)>,
     pub seed: u64,
@@ -169,6 +171,7 @@ impl Rig {
             ended: Vec::new(),
             records: Vec::new(),
             node_records: Vec::new(),
+            plans: Vec::new(),
             sent: Vec::new(),
             seed,
             writes_left: None,
@@ -607,6 +610,13 @@ impl Rig {
                     assert!(record.version == 1 || self.died, "{record:?}");
                 }
                 self.records.push(record);
+            }
+            Topic::StartPlan { job } => {
+                assert!(json && lane == Lane::Record);
+                let plan: StartPlan = serde_json::from_slice(&payload).expect("a plan");
+                assert_eq!(plan.job.as_str(), job);
+                assert_eq!(plan.told.0, self.now().0, "told at once");
+                self.plans.push(plan);
             }
             Topic::Node {
                 node,

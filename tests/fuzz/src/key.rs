@@ -29,6 +29,11 @@ pub fn check(data: &[u8]) {
                 assert_eq!(keys.job_cancel(&job).as_str(), text);
             }
         }
+        Some(Topic::StartPlan { job }) => {
+            if let Ok(job) = JobId::new(job) {
+                assert_eq!(keys.start_plan(&job).as_str(), text);
+            }
+        }
         None => {}
     }
     if let Ok(name) = NodeId::new(text) {

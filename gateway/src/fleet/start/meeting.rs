@@ -435,7 +435,6 @@ impl Meeting {
                 .map(|(node, us)| (node, (us - first_us) as f64))
                 .collect(),
             uncertainty_us: errors_us.iter().take(2).sum(),
-            max_skew_us: Some(self.limits.max_skew_us),
         })
     }
 }

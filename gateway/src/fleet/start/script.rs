@@ -93,6 +93,11 @@ impl Start {
         })
     }
 
+    /// Returns the largest skew that a meeting is promised, µs.
+    pub fn max_skew_us(&self, number: u16) -> Option<f64> {
+        Some(self.meetings.get(&number)?.limits.max_skew_us)
+    }
+
     /// Returns whether this is a script of this job that comes to a meeting point.
     pub(super) fn may_name(&self, node: NodeId, message: &StartMessage) -> bool {
         self.named_index(node, message).is_some()
