@@ -34,8 +34,8 @@ use periphery::blackbox::Report;
 
 /// Messages that wait for the node.
 pub(crate) const IN_MAX: usize = 8;
-/// Messages that wait for the network.
-pub(crate) const OUT_MAX: usize = 8;
+/// Messages that wait for the network, 1.5 KB each in internal RAM; the node's own outbox is behind them.
+pub(crate) const OUT_MAX: usize = 6;
 /// Longest turnless time while something moves, µs: the shortest plan that a ring of single fast
 /// steps holds is 960 µs.
 const TURN_US: u64 = 400;
