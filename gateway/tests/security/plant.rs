@@ -73,6 +73,18 @@ impl Plant {
         Self::start(folder, made, limits).await
     }
 
+    /// Ends the gateway, changes its home and starts it again.
+    pub(crate) async fn begun_anew(self, change: impl FnOnce(&mut Home)) -> Self {
+        let Self {
+            service,
+            mut home,
+            folder,
+        } = self;
+        in_time(service.shutdown()).await.expect("a clean end");
+        change(&mut home);
+        Self::start(folder, home, ClientLimits::default()).await
+    }
+
     /// Starts the gateway of a fleet that stands in `home` below the folder.
     pub(crate) async fn start(folder: tempfile::TempDir, home: Home, limits: ClientLimits) -> Self {
         let config = GatewayConfig {

@@ -55,15 +55,11 @@ async fn who_was_revoked_is_refused_from_the_next_start_and_without_a_key_nothin
     let bob = plant.session("bob").await;
     in_time(bob.close()).await.expect("closed");
 
-    let Plant {
-        service,
-        mut home,
-        folder,
-    } = plant;
-    in_time(service.shutdown()).await.expect("a clean end");
-    home.revoke(&name("bob")).expect("revoked");
-    home.revoke_signer(&name("alice")).expect("revoked");
-    plant = Plant::start(folder, home, ClientLimits::default()).await;
+    let restarted = plant.begun_anew(|home| {
+        home.revoke(&name("bob")).expect("revoked");
+        home.revoke_signer(&name("alice")).expect("revoked");
+    });
+    plant = restarted.await;
     let refused = tokio::time::timeout(PATIENCE, session(plant.tls(), Some(&bobs))).await;
     assert!(refused.expect("in time").is_err(), "he was revoked");
     let left = wall::spawn(plant.emulator("left")).expect("spawned");
@@ -75,14 +71,10 @@ async fn who_was_revoked_is_refused_from_the_next_start_and_without_a_key_nothin
     }
     in_time(left.shutdown()).await;
 
-    let Plant {
-        service,
-        mut home,
-        folder,
-    } = plant;
-    in_time(service.shutdown()).await.expect("a clean end");
-    home.sign_no_more().expect("told");
-    plant = Plant::start(folder, home, ClientLimits::default()).await;
+    let restarted = plant.begun_anew(|home| {
+        home.sign_no_more().expect("told");
+    });
+    plant = restarted.await;
     let left = wall::spawn(plant.emulator("left")).expect("spawned");
     let alice = plant.session("alice").await;
     until(&alice, "left", |record| record.alive).await;

@@ -310,7 +310,8 @@ impl Encoder {
         let mut out = Out::new();
         self.low_ticks = lead_ticks;
         self.spread(&mut out, lead_ticks);
-        self.finish(out)
+        self.finish(&mut out);
+        out.fill
     }
 
     /// Writes the next half block.
@@ -350,10 +351,12 @@ impl Encoder {
                 self.next(segments, &mut out);
             }
         }
-        self.finish(out)
+        self.finish(&mut out);
+        out.fill
     }
 
-    fn finish(&mut self, mut out: Out) -> Fill {
+    /// Adds up what was written. The fill stays where it is: a copy costs as much as its words.
+    fn finish(&mut self, out: &mut Out) {
         self.half_before = out.facts;
         self.last_part_ticks = out.fill.words[REFILL_WORDS - 1].second().0 as u32;
         self.encoded_ticks += u64::from(out.facts.ticks);
@@ -365,7 +368,6 @@ impl Encoder {
             out.fill.turn_by_ticks = rest_ticks as i32 - self.timing.setup_ticks as i32;
         }
         out.fill.ticks = out.facts.ticks;
-        out.fill
     }
 
     /// Takes the next segment.

@@ -64,7 +64,7 @@ pub fn check(data: &[u8]) {
 }
 
 /// Lets the node do what is due, each at its time, as a driver does.
-fn live_until(node: &mut EmulatedNode, now: LocalMicros) {
+pub(crate) fn live_until(node: &mut EmulatedNode, now: LocalMicros) {
     while let Some(due) = node.poll_timeout().filter(|due| *due < now) {
         node.poll(due);
         let _ = node.outbox(due);

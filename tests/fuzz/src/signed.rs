@@ -4,7 +4,7 @@
 //! Deeds follow each other: orders for its queue behind proofs that name the right key and everything else
 //! at will, orders without, messages of any bytes, and time.
 
-use super::Input;
+use super::{Input, node::live_until};
 use emulator::{EmulatedNode, EmulatorConfig, Recording, oracle};
 use keys::{
     AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic, batch, epoch,
@@ -48,15 +48,6 @@ pub fn check(data: &[u8]) {
     assert!(life.commands.is_empty(), "unsigned: {:?}", life.commands);
     assert!(life.counted_steps.iter().all(|steps| *steps == 0));
     oracle::check_life(&life).expect("nothing happened");
-}
-
-fn live_until(node: &mut EmulatedNode, now: LocalMicros) {
-    while let Some(due) = node.poll_timeout().filter(|due| *due < now) {
-        node.poll(due);
-        let _ = node.outbox(due);
-    }
-    node.poll(now);
-    let _ = node.outbox(now);
 }
 
 fn deed(input: &mut Input<'_>, node: &mut EmulatedNode, now: &mut LocalMicros) {

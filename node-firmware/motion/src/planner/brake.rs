@@ -91,22 +91,15 @@ impl Planner {
         goes_on(line)?;
         let mut steps_max = left + u64::from(self.tails[index].edge_at.is_some());
         let enough = way_to_rest(line, index);
-        let written = self.stretches[..self.count].iter().skip(stretch + 1);
-        let known = written.flatten().map(|stretch| &stretch.line);
         // Parts of one line are one line.
         let mut base = self.stretches[stretch].as_ref()?.base_steps[index];
-        let bases = self.stretches[..self.count]
-            .iter()
-            .skip(stretch + 1)
-            .flatten();
-        let fresh = known
-            .zip(bases.map(|stretch| stretch.base_steps[index]))
-            .filter(|(_, own_base)| {
-                let is_fresh = *own_base != base;
-                base = *own_base;
-                is_fresh
-            });
-        for line in fresh.map(|(line, _)| line).chain(self.ahead.lines()) {
+        let written = self.stretches[..self.count].iter().skip(stretch + 1);
+        let fresh = written.flatten().filter(|stretch| {
+            let before = core::mem::replace(&mut base, stretch.base_steps[index]);
+            before != base
+        });
+        let lines = fresh.map(|stretch| &stretch.line);
+        for line in lines.chain(self.ahead.lines()) {
             if steps_max >= enough {
                 break;
             }
