@@ -27,6 +27,7 @@ mod ear;
 pub mod limits;
 pub mod owners;
 pub mod sizes;
+mod states;
 pub mod urgent;
 pub mod zenoh;
 

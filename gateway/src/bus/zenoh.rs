@@ -23,6 +23,7 @@ use super::{
     ear::{Door, Ear, Gets, refuse},
     owners::{self, Owners},
     sizes::low_pass_filter,
+    states::StateKeys,
 };
 use crate::{
     config::{
@@ -47,7 +48,7 @@ use tokio::sync::watch;
 use zenoh::{
     Session, Wait,
     bytes::{Encoding, ZBytes},
-    key_expr::keyexpr,
+    key_expr::{KeyExpr, keyexpr},
     liveliness::LivelinessToken,
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
@@ -146,6 +147,7 @@ pub struct Bus {
     keys: Keys,
     gets: Arc<Gets>,
     doors: Mutex<Doors>,
+    states: StateKeys,
     locators: Vec<String>,
 }
 
@@ -199,6 +201,7 @@ impl Bus {
             keys: config.keys.clone(),
             gets: Arc::new(Gets::new(config.limits)),
             doors: Mutex::default(),
+            states: StateKeys::default(),
             locators,
         };
         if !own_router && bus.rival_answers().await? {
@@ -401,13 +404,22 @@ impl Bus {
         } else {
             Encoding::APPLICATION_OCTET_STREAM.with_schema("postcard")
         };
-        let put = session
-            .put(key, payload)
-            .encoding(encoding)
-            .congestion_control(congestion)
-            .priority(priority)
-            .express(express)
-            .wait();
+        let name = match topic {
+            Some(Topic::Node {
+                topic: NodeTopic::State,
+                ..
+            }) => self.states.of(session, key),
+            _ => KeyExpr::try_from(key).map_err(Into::into),
+        };
+        let put = name.and_then(|name| {
+            session
+                .put(name, payload)
+                .encoding(encoding)
+                .congestion_control(congestion)
+                .priority(priority)
+                .express(express)
+                .wait()
+        });
         if let Err(error) = put {
             tracing::error!(key, "not published: {error}");
         }

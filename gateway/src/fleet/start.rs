@@ -63,6 +63,11 @@ pub const LEAD_US_MIN: u64 = 250_000;
 /// The lead in slowest round trips.
 pub const LEAD_ROUND_TRIPS: f64 = 8.0;
 
+/// Longest round trip that a plan reckons with, µs: four seconds of lead. A node that was slower once,
+/// while hundreds connected, is not waited for any longer; if it is still so, the start fails before
+/// anybody moves.
+pub const ROUND_TRIP_US_MAX: f64 = 500_000.0;
+
 /// Shortest time from the end of confirmations to the instant, µs: an abort still gets through.
 pub const CONFIRM_MARGIN_US: u64 = 50_000;
 

@@ -23,8 +23,8 @@ use keys::{
 use motion::StepBackend;
 use pico::{
     event::{
-        Congestion, DeclareError, Encoding, InboundQuery, Priority, PublisherId, PutError,
-        PutOptions, QueryableId, ReplyError, SampleKind, SubscriberId, TokenId,
+        Congestion, DeclareError, Encoding, InboundQuery, KeyId, Priority, PutError, PutOptions,
+        QueryableId, ReplyError, SampleKind, SubscriberId, TokenId,
     },
     session::{Event, Session},
 };
@@ -132,7 +132,7 @@ const DATA_KEY_BYTES_MAX: usize = keys::key::KEY_BYTES_MAX + 33;
 #[derive(Debug)]
 pub struct NodeLink {
     heard: [(SubscriberId, NodeTopic); HEARD.len()],
-    spoken: [(PublisherId, NodeTopic); SPOKEN.len()],
+    spoken: [(KeyId, NodeTopic); SPOKEN.len()],
     token: TokenId,
     held: Option<Outbound>,
     /// Below which a script publishes.
@@ -177,7 +177,9 @@ impl NodeLink {
             (subscribe(HEARD[3])?, HEARD[3]),
             (subscribe(HEARD[4])?, HEARD[4]),
         ];
-        let mut publish = |topic| session.declare_publisher(&keys.node(name, topic));
+        // Keys and not publishers: those ask who wants them, which costs a router a look at the
+        // subscribers of all nodes, and a node speaks in any case.
+        let mut publish = |topic| session.declare_key(&keys.node(name, topic));
         let spoken = [
             (publish(SPOKEN[0])?, SPOKEN[0]),
             (publish(SPOKEN[1])?, SPOKEN[1]),
@@ -338,13 +340,13 @@ impl NodeLink {
             return;
         }
         self.vitals_at = Some(now.plus_us(VITALS_US));
-        let spoken = |(_, topic): &&(PublisherId, NodeTopic)| *topic == NodeTopic::Vitals;
+        let spoken = |(_, topic): &&(KeyId, NodeTopic)| *topic == NodeTopic::Vitals;
         if self.held.is_none()
-            && let Some((publisher, topic)) = self.spoken.iter().find(spoken)
+            && let Some((key, topic)) = self.spoken.iter().find(spoken)
         {
             let mut buffer = [0; VITALS_BYTES_MAX];
             let vitals = host.vitals(now);
-            let _ = session.put(*publisher, vitals.encode(&mut buffer), &options_of(*topic));
+            let _ = session.put(*key, vitals.encode(&mut buffer), &options_of(*topic));
         }
     }
 
@@ -459,10 +461,10 @@ impl NodeLink {
             .spoken
             .iter()
             .find(|(_, topic)| *topic == outbound.topic);
-        let Some((publisher, _)) = spoken else {
+        let Some((key, _)) = spoken else {
             return Ok(());
         };
-        session.put(*publisher, &outbound.payload, &options)
+        session.put(*key, &outbound.payload, &options)
     }
 }
 

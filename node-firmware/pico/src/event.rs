@@ -60,6 +60,12 @@ impl<'a> From<&'a str> for KeyRef<'a> {
     }
 }
 
+impl From<KeyId> for KeyRef<'_> {
+    fn from(key: KeyId) -> Self {
+        Self::Declared(key)
+    }
+}
+
 impl From<PublisherId> for KeyRef<'_> {
     fn from(publisher: PublisherId) -> Self {
         Self::Publisher(publisher)

@@ -3,7 +3,7 @@
 
 use super::{
     ABORT_US, ARM_MARGIN_US, COMMIT_US, CONFIRM_MARGIN_ROUND_TRIPS, CONFIRM_MARGIN_US, CONFIRM_US,
-    Edge, LEAD_ROUND_TRIPS, LEAD_US_MIN, Limits, STARTED_PATIENCE_US, Step,
+    Edge, LEAD_ROUND_TRIPS, LEAD_US_MIN, Limits, ROUND_TRIP_US_MAX, STARTED_PATIENCE_US, Step,
 };
 use crate::fleet::clock::ClockTrack;
 use keys::{
@@ -322,6 +322,7 @@ impl Meeting {
             let slowest_us = clock(node).and_then(ClockTrack::rtt_us_max);
             rtt_us = rtt_us.max(slowest_us.ok_or_else(|| vec![unknown(node)])?);
         }
+        let rtt_us = rtt_us.min(ROUND_TRIP_US_MAX);
         let trips = |count: f64, least_us: u64| least_us.max((count * rtt_us) as u64);
         let start_at = now.plus_us(trips(LEAD_ROUND_TRIPS, LEAD_US_MIN));
         let margin_us = trips(CONFIRM_MARGIN_ROUND_TRIPS, CONFIRM_MARGIN_US);

@@ -30,8 +30,12 @@ const NOW: FleetMicros = FleetMicros(3_620_000_000);
 
 /// Two nodes that are ready, 100 commands into their queues.
 fn ready() -> Start {
+    ready_within(10_000.0)
+}
+
+fn ready_within(max_skew_us: f64) -> Start {
     let limits = Limits {
-        max_skew_us: 10_000.0,
+        max_skew_us,
         ready_timeout_us: 1_000_000,
     };
     let barrier = Command::Barrier { barrier: 0 };
@@ -75,10 +79,15 @@ fn poll(start: &mut Start, clock: &ClockTrack, now: FleetMicros) -> (Vec<Step>, 
 }
 
 #[test]
-fn the_instant_is_as_far_ahead_as_the_slowest_way_needs() {
-    for (way_us, lead_us, margin_us) in [(100, 250_000, 50_000), (25_000, 400_000, 100_000)] {
+fn the_instant_is_as_far_ahead_as_the_slowest_way_needs_and_four_seconds_at_most() {
+    let ways = [
+        (100, 250_000, 50_000),
+        (25_000, 400_000, 100_000),
+        (900_000, 4_000_000, 1_000_000),
+    ];
+    for (way_us, lead_us, margin_us) in ways {
         let clock = clock(way_us);
-        let mut start = ready();
+        let mut start = ready_within(1e6);
         let at = FleetMicros(NOW.0 + lead_us);
         assert_eq!(
             poll(&mut start, &clock, NOW),
