@@ -244,10 +244,12 @@ impl Node {
         GroupId::new(label).is_ok_and(|label| self.facts.labels.contains(&label))
     }
 
-    /// Puts a job among those that wait, behind those of its rank.
+    /// Puts a job among those that wait, which are in their order, behind those of its rank.
     pub(super) fn enqueue(&mut self, job: JobId, book: &Book) {
-        self.waiting.push_back(job);
-        self.sort_waiting(book);
+        let own = self.rank(&job, book);
+        let behind = |other: &JobId| self.rank(other, book) <= own;
+        let index = self.waiting.partition_point(behind);
+        self.waiting.insert(index, job);
     }
 
     /// Puts a job behind all that wait; [`Node::sort_waiting`] follows.
@@ -257,8 +259,16 @@ impl Node {
 
     /// Puts the jobs that wait in their order.
     pub(super) fn sort_waiting(&mut self, book: &Book) {
-        let rank = |id: &JobId| book.part(id, self.id).map(|job| manage::rank(&job.entry));
-        self.waiting.make_contiguous().sort_by_cached_key(rank);
+        let mut waiting = std::mem::take(&mut self.waiting);
+        waiting
+            .make_contiguous()
+            .sort_by_cached_key(|id| self.rank(id, book));
+        self.waiting = waiting;
+    }
+
+    /// What waiting jobs are sorted by.
+    fn rank(&self, id: &JobId, book: &Book) -> Option<impl Ord + use<>> {
+        book.part(id, self.id).map(|job| manage::rank(&job.entry))
     }
 
     /// Changes labels and maintenance.
