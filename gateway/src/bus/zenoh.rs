@@ -36,7 +36,7 @@ use crate::{
     journal::copy::Copier,
     security::{Home, HomeError},
 };
-use keys::{Keys, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
+use keys::{Keys, NodeId, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
 use std::{
     net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
@@ -381,14 +381,11 @@ impl Bus {
     /// waits until the peer's link takes them, [`STALLED_PEER_US`] at most; a node's record and a
     /// clock probe are dropped instead, the next one says the same.
     pub fn publish(&self, key: &str, payload: Vec<u8>, json: bool, lane: Lane) {
-        let topic = self.keys.parse(key);
-        let latest_wins = matches!(
-            topic,
-            Some(Topic::Node {
-                topic: NodeTopic::State | NodeTopic::Clock,
-                ..
-            })
-        );
+        let (node, topic) = match self.keys.parse(key) {
+            Some(Topic::Node { node, topic }) => (NodeId::new(node).ok(), Some(topic)),
+            _ => (None, None),
+        };
+        let latest_wins = matches!(topic, Some(NodeTopic::State | NodeTopic::Clock));
         let congestion = if latest_wins {
             CongestionControl::Drop
         } else {
@@ -404,11 +401,8 @@ impl Bus {
         } else {
             Encoding::APPLICATION_OCTET_STREAM.with_schema("postcard")
         };
-        let name = match topic {
-            Some(Topic::Node {
-                topic: NodeTopic::State,
-                ..
-            }) => self.states.of(session, key),
+        let name = match (topic, node) {
+            (Some(NodeTopic::State), Some(node)) => self.states.of(session, &self.keys, node),
             _ => KeyExpr::try_from(key).map_err(Into::into),
         };
         let put = name.and_then(|name| {
