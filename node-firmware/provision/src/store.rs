@@ -57,6 +57,10 @@ pub enum Found {
     Damaged,
 }
 
+/// What the log says of [`Found::Older`].
+pub const OLDER: &str = "the newest record in flash is damaged: drivers, switches and tuning are those of \
+    the one before; look at them, tell them again (fleet provision), and release";
+
 /// Why a record was not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StoreError {
