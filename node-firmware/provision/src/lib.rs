@@ -21,6 +21,7 @@ pub mod host;
 pub mod kit;
 pub mod machine;
 pub mod record;
+pub mod stations;
 pub mod store;
 pub mod tuning;
 pub mod wiring;
