@@ -53,6 +53,8 @@ use crate::{
     stop_pin::StopPin,
     watchdog::PlanningWatchdog,
 };
+#[cfg(feature = "dual")]
+use core::sync::atomic::Ordering;
 use core::{cell::RefCell, sync::atomic::AtomicU32};
 use embassy_executor::Spawner;
 use embassy_futures::select::{Either, select};
@@ -218,7 +220,9 @@ async fn plan_task(planning: Planning) {
     planning.run().await;
 }
 
-/// Lets the second core serve its interrupts, and nothing else.
+/// Lets the second core serve its interrupts, and wakes its planning task when the refill interrupt has said
+/// so. Timers alone would not do: theirs is an interrupt of the other core, which may have it masked for longer
+/// than what is planned lasts.
 #[cfg(feature = "dual")]
 fn rest() -> ! {
     loop {
@@ -231,6 +235,9 @@ fn rest() -> ! {
         #[cfg(not(target_arch = "xtensa"))]
         unsafe {
             core::arch::asm!("wfi", options(nomem, nostack));
+        }
+        if rmt::WANTED.load(Ordering::Acquire) {
+            plan::WAKE.signal(());
         }
     }
 }
