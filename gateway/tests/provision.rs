@@ -450,7 +450,14 @@ fn axes_and_pins_are_told_and_shown_and_one_that_cannot_be_is_named_with_the_rea
     let (code, out, err) = board.fleet(&["--name", "left", "--wifi", "shop"]);
     assert_eq!(code, Some(0), "{err}");
     assert!(!out.contains("pins"), "as the kit has them: {out}");
-    let told = ["--axes", "4", "--pin", "2:step=9,2:dir=12", "--pin", "lamp=none"];
+    let told = [
+        "--axes",
+        "4",
+        "--pin",
+        "2:step=9,2:dir=12",
+        "--pin",
+        "lamp=none",
+    ];
     let (code, out, err) = board.fleet(&told);
     assert_eq!(code, Some(0), "{err}");
     let lines = "axes        4

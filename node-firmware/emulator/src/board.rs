@@ -424,7 +424,11 @@ mod tests {
         let status = node.status();
         let codes: Vec<FaultCode> = status.faults.iter().map(|fault| fault.code).collect();
         assert_eq!(codes, [FaultCode::RECORD]);
-        assert_eq!(status.state, NodeState::Stopped, "nothing moves until a release");
+        assert_eq!(
+            status.state,
+            NodeState::Stopped,
+            "nothing moves until a release"
+        );
     }
 
     #[test]

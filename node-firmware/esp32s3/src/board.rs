@@ -161,7 +161,8 @@ pub(crate) enum Other {
     Lidar,
 }
 
-const _: () = assert!(Other::Lidar as usize == NAMED.len() - 1 && Other::StepD as usize == DRIVEN - 1);
+const _: () =
+    assert!(Other::Lidar as usize == NAMED.len() - 1 && Other::StepD as usize == DRIVEN - 1);
 
 /// Gives each enable output of the drivers: the common one, and those of single axes.
 pub(crate) fn enable_pins() -> impl Iterator<Item = u8> {

@@ -81,9 +81,7 @@ struct Shared(UnsafeCell<Capture<Pins>>);
 // at once: the task masks interrupts while it does.
 unsafe impl Sync for Shared {}
 
-static CAPTURE: Shared = Shared(UnsafeCell::new(Capture::new(Pins {
-    known: 0,
-})));
+static CAPTURE: Shared = Shared(UnsafeCell::new(Capture::new(Pins { known: 0 })));
 
 /// The interrupt of the input pins. As urgent as a refill, so neither comes into the other.
 #[handler(priority = Priority::Priority3)]

@@ -200,7 +200,10 @@ fn made_node(
 fn made_dialogue(flash: CoreFlash) -> &'static mut Dialogue<RecordFlash> {
     let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
         .expect("the partition has two erase units");
-    keep!(Dialogue<RecordFlash>, Dialogue::blank(store, FIRMWARE, board::CHIP))
+    keep!(
+        Dialogue<RecordFlash>,
+        Dialogue::blank(store, FIRMWARE, board::CHIP)
+    )
 }
 
 /// Copies what it has read to where it stays: the dialogue may change its own.

@@ -127,7 +127,9 @@ async fn attempt(
     set.map_err(|_| Failure::Other)?;
     match with_timeout(LIMIT, controller.connect_async()).await {
         Ok(Ok(_)) => Ok(()),
-        Ok(Err(ConnectionError::Failed(info))) if is_password(info.reason) => Err(Failure::Password),
+        Ok(Err(ConnectionError::Failed(info))) if is_password(info.reason) => {
+            Err(Failure::Password)
+        }
         Ok(Err(_)) => Err(Failure::Other),
         Err(_) => {
             // Neither yes nor no: what the radio still tries must not disturb the next one.

@@ -71,7 +71,10 @@ impl fmt::Display for PinWhy {
             Self::Missing => write!(f, "it has no pin (--pin)"),
             Self::Axes { max } => write!(f, "the chip drives at most {max} axes"),
             Self::NoAxis { axes } => {
-                write!(f, "there are {axes} axes (--axes, or --no-pins to forget it)")
+                write!(
+                    f,
+                    "there are {axes} axes (--axes, or --no-pins to forget it)"
+                )
             }
         }
     }

@@ -643,15 +643,18 @@ mod tests {
         record.wiring.axis_count = u8::MAX;
         let pin = PinSetting {
             of: PinUse::Switch {
-                of: SwitchOf::Axis(0xff),
-                end: End::Home,
+                of: SwitchOf::C,
+                end: End::Max,
             },
             gpio: Some(0xff),
         };
         while record.wiring.pins.push(pin).is_ok() {}
         crate::frame::write(&crate::Reply::Pins(record.wiring.clone()), &mut answer);
-        let mut buffer = [0; RECORD_BYTES_MAX];
-        assert!(postcard::to_slice(&record, &mut buffer).is_ok());
+        let mut buffer = [0; 2 * RECORD_BYTES_MAX];
+        let used = postcard::to_slice(&record, &mut buffer)
+            .expect("room")
+            .len();
+        assert!(used <= RECORD_BYTES_MAX, "{used}");
     }
 
     trait Repeat {

@@ -96,7 +96,11 @@ impl Stations {
     /// Returns what is to be done now.
     pub fn poll(&mut self, now_us: u64) -> Next {
         if let Some(index) = self.up {
-            return if self.lost { Next::Try(index) } else { Next::Stay };
+            return if self.lost {
+                Next::Try(index)
+            } else {
+                Next::Stay
+            };
         }
         let Some(free_at_us) = self.known().iter().map(|station| station.free_at_us).min() else {
             // Nothing is known: nothing will ever be.

@@ -314,7 +314,13 @@ fn identity(record: &Record) -> u32 {
         hasher.update(&(bytes.len() as u32).to_le_bytes());
         hasher.update(bytes);
     };
-    part(record.name.as_ref().map_or("", |name| name.as_str()).as_bytes());
+    part(
+        record
+            .name
+            .as_ref()
+            .map_or("", |name| name.as_str())
+            .as_bytes(),
+    );
     part(record.prefix.as_bytes());
     part(&[record.networks.len() as u8]);
     for network in &record.networks {
@@ -365,7 +371,8 @@ fn mark_bytes(mark: Mark) -> [u8; MARK_BYTES] {
 }
 
 fn mark_of(bytes: &[u8; MARK_BYTES]) -> Option<Mark> {
-    let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+    let word =
+        |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
     let mark = Mark {
         sequence: word(4),
         identity: word(8),

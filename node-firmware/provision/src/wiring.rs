@@ -23,8 +23,9 @@ pub const PINS_MAX: usize = 32;
 /// Axes of a board that was told no number.
 pub const AXES_DEFAULT: usize = 2;
 
-/// What a pin is for.
+/// What a pin is for. One byte in a record ([`PinUse::code`]), which has little room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "u8", try_from = "u8")]
 pub enum PinUse {
     /// Step output of an axis of the queue.
     Step(u8),
@@ -175,9 +176,91 @@ const NAMED: [(&str, PinUse); 11] = [
     ("lidar", PinUse::Lidar),
 ];
 
-/// A name that no pin has.
+impl PinUse {
+    /// Returns the number of a legal use. Never another one for the same use.
+    const fn code(self) -> u8 {
+        match self {
+            Self::Step(axis) => axis,
+            Self::Direction(axis) => 8 + axis,
+            Self::AxisEnable(axis) => 16 + axis,
+            Self::Switch { of, end } => {
+                let end = match end {
+                    End::Min => 0,
+                    End::Max => 1,
+                    End::Home => 2,
+                };
+                end + match of {
+                    SwitchOf::Axis(axis) => 24 + 3 * axis,
+                    SwitchOf::C => 48,
+                    SwitchOf::D => 51,
+                    SwitchOf::Probe => 54,
+                }
+            }
+            Self::Enable => 64,
+            Self::Laser => 65,
+            Self::Stop => 66,
+            Self::Lamp => 67,
+            Self::StepC => 68,
+            Self::StepD => 69,
+            Self::ShiftData => 70,
+            Self::ShiftClock => 71,
+            Self::ShiftLatch => 72,
+            Self::ShiftBack => 73,
+            Self::Lidar => 74,
+        }
+    }
+}
+
+impl From<PinUse> for u8 {
+    fn from(of: PinUse) -> Self {
+        of.code()
+    }
+}
+
+impl TryFrom<u8> for PinUse {
+    type Error = NoUse;
+
+    fn try_from(code: u8) -> Result<Self, NoUse> {
+        let switch = |of, end| {
+            let end = match end {
+                0 => End::Min,
+                1 => End::Max,
+                _ => End::Home,
+            };
+            Self::Switch { of, end }
+        };
+        let found = match code {
+            0..8 => Self::Step(code),
+            8..16 => Self::Direction(code - 8),
+            16..24 => Self::AxisEnable(code - 16),
+            24..48 => switch(SwitchOf::Axis((code - 24) / 3), code % 3),
+            48..51 => switch(SwitchOf::C, code - 48),
+            51..54 => switch(SwitchOf::D, code - 51),
+            54 => switch(SwitchOf::Probe, 0),
+            _ => {
+                let mut named = NAMED.iter().map(|(_, of)| *of);
+                named.find(|of| of.code() == code).ok_or(NoUse)?
+            }
+        };
+        if found.is_legal() {
+            Ok(found)
+        } else {
+            Err(NoUse)
+        }
+    }
+}
+
+/// A name or a number that no pin has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoUse;
+
+impl fmt::Display for NoUse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("no pin is for this")
+    }
+}
+
+impl core::error::Error for NoUse {}
 
 impl FromStr for PinUse {
     type Err = NoUse;

@@ -55,7 +55,11 @@ fn after_a_failure_the_others_are_tried_and_then_the_air_is_heard_again() {
     );
     assert_eq!(stations.poll(BACK_OFF_US_MIN), Next::Scan, "all were tried");
     stations.handle_scan([(1, -50)], BACK_OFF_US_MIN);
-    assert_eq!(tried(&mut stations, BACK_OFF_US_MIN), 0, "1 is not free yet");
+    assert_eq!(
+        tried(&mut stations, BACK_OFF_US_MIN),
+        0,
+        "1 is not free yet"
+    );
     assert_eq!(tried(&mut stations, BACK_OFF_US_MIN + S), 1);
 }
 
@@ -106,7 +110,11 @@ fn a_wrong_password_is_not_tried_soon_and_does_not_keep_from_the_others() {
             Next::Stay => panic!("it is not connected"),
         }
     }
-    assert_eq!(attempts, [0, 4], "after 2, 4, 8, 16 s, and 30 more are beyond");
+    assert_eq!(
+        attempts,
+        [0, 4],
+        "after 2, 4, 8, 16 s, and 30 more are beyond"
+    );
     assert_eq!(stations.poll(PASSWORD_US), Next::Scan);
 }
 

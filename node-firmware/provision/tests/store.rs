@@ -5,7 +5,8 @@ mod flash;
 use flash::Flash;
 use keys::NodeId;
 use provision::{
-    Dialogue, Found, Host, HostError, PinFault, PinUse, Record, Refused, Reply, Request, Setting, Store,
+    Dialogue, Found, Host, HostError, PinFault, PinUse, Record, Refused, Reply, Request, Setting,
+    Store,
     chip::PinWhy,
     frame::{FRAME_BYTES_MAX, FrameReader},
     record::{Authority, Login, Network},
@@ -60,7 +61,11 @@ fn a_power_cut_at_every_byte_leaves_the_old_record_or_the_new_one() {
             assert_eq!(result.is_ok(), power >= counts_at);
             // A cut is no decay, and what the cut has left open is made good at the next boot.
             let (was, again) = boot(flash.clone());
-            let expected = if found.is_some() { Found::Whole } else { Found::Nothing };
+            let expected = if found.is_some() {
+                Found::Whole
+            } else {
+                Found::Nothing
+            };
             assert_eq!(was, expected, "{power}");
             if found.is_some() {
                 assert_eq!(marks(&again).len(), 2, "{power}");
@@ -72,7 +77,10 @@ fn a_power_cut_at_every_byte_leaves_the_old_record_or_the_new_one() {
             store.write(&record("after")).expect("has power");
             assert_eq!(read(store.into_flash()), Some(record("after")));
         }
-        assert!(seen_old >= counts_at, "the header is the last that is written");
+        assert!(
+            seen_old >= counts_at,
+            "the header is the last that is written"
+        );
         before = whole;
     }
 }
@@ -94,9 +102,13 @@ fn boot(flash: Flash) -> (Found, Flash) {
 fn marks(flash: &Flash) -> Vec<&[u8]> {
     let all = [4064, 4080, 8160, 8176].map(|at| &flash.bytes[at..at + 16]);
     let number = |mark: &[u8]| u32::from_le_bytes([mark[4], mark[5], mark[6], mark[7]]);
-    let written = all.into_iter().filter(|mark| mark.iter().any(|byte| *byte != 0xff));
+    let written = all
+        .into_iter()
+        .filter(|mark| mark.iter().any(|byte| *byte != 0xff));
     let newest = written.clone().map(number).max();
-    written.filter(|mark| Some(number(mark)) == newest).collect()
+    written
+        .filter(|mark| Some(number(mark)) == newest)
+        .collect()
 }
 
 /// A flash with two copies of these records, the second one newer.
@@ -110,7 +122,9 @@ fn two(first: &Record, second: &Record) -> Flash {
 /// The bytes that a copy has before its marks.
 fn used(flash: &Flash, copy: usize) -> std::ops::Range<usize> {
     let from = copy * 4096;
-    let last = flash.bytes[from..from + 4064].iter().rposition(|byte| *byte != 0xff);
+    let last = flash.bytes[from..from + 4064]
+        .iter()
+        .rposition(|byte| *byte != 0xff);
     from..from + last.expect("something is written")
 }
 
@@ -121,7 +135,10 @@ fn any_flipped_bit_is_noticed_and_the_other_copy_counts_if_it_is_of_the_same_nod
     let mut guarded = record("one");
     guarded.apply(Setting::Signer([7; 32])).expect("fits");
     let mut moved = record("one");
-    let pin = PinSetting { of: PinUse::Lamp, gpio: None };
+    let pin = PinSetting {
+        of: PinUse::Lamp,
+        gpio: None,
+    };
     moved.apply(Setting::Pin(pin)).expect("fits");
     for (newer, found) in [
         (tuned, Found::Older),
@@ -144,7 +161,9 @@ fn any_flipped_bit_is_noticed_and_the_other_copy_counts_if_it_is_of_the_same_nod
 fn a_copy_without_authority_or_signers_never_stands_in_for_one_that_may_have_had_them() {
     let mut open = record("one");
     let mut guarded = record("one");
-    guarded.apply(Setting::Router(text("tls/10.0.0.1:7447"))).expect("fits");
+    guarded
+        .apply(Setting::Router(text("tls/10.0.0.1:7447")))
+        .expect("fits");
     guarded
         .apply(Setting::Authority(Some(Authority {
             subject: heapless::Vec::from_slice(b"s").expect("short"),
@@ -154,9 +173,14 @@ fn a_copy_without_authority_or_signers_never_stands_in_for_one_that_may_have_had
     let mut signed = record("one");
     signed.apply(Setting::Signer([7; 32])).expect("fits");
     let mut rekeyed = record("one");
-    rekeyed.apply(Setting::UpdateKey(Some([7; 32]))).expect("fits");
+    rekeyed
+        .apply(Setting::UpdateKey(Some([7; 32])))
+        .expect("fits");
     let mut password = record("one");
-    let login = Login { user: text("left"), password: text("new") };
+    let login = Login {
+        user: text("left"),
+        password: text("new"),
+    };
     password.apply(Setting::Login(Some(login))).expect("fits");
     for newer in [guarded, signed, rekeyed, password] {
         let flash = two(&open, &newer);
@@ -178,7 +202,11 @@ fn a_copy_without_authority_or_signers_never_stands_in_for_one_that_may_have_had
                 let mut flash = store.into_flash();
                 flash.power = usize::MAX;
                 let (found, _) = boot(flash.clone());
-                assert_eq!(found, if kept { Found::Whole } else { Found::Damaged }, "{power}");
+                assert_eq!(
+                    found,
+                    if kept { Found::Whole } else { Found::Damaged },
+                    "{power}"
+                );
                 assert_eq!(read(flash), kept.then(|| newer.clone()), "{power}");
             }
         }
@@ -219,7 +247,8 @@ fn what_a_boot_found_is_shown_until_it_is_told_again() {
         other => panic!("{other:?}"),
     };
     assert_eq!(found(&mut line), Found::Older);
-    line.ask(Request::Set(Setting::HasLidar(true))).expect("fits");
+    line.ask(Request::Set(Setting::HasLidar(true)))
+        .expect("fits");
     assert_eq!(line.ask(Request::Commit), Ok(Reply::Kept { sequence: 3 }));
     assert_eq!(found(&mut line), Found::Whole);
     assert_eq!(boot(line.node.into_store().into_flash()).0, Found::Whole);
@@ -232,8 +261,14 @@ fn a_board_that_cannot_be_wired_is_not_kept_and_says_which_pin_and_why() {
         line.ask(Request::Set(setting)).expect("fits");
     }
     line.ask(Request::Set(Setting::Axes(3))).expect("fits");
-    let pin = |of, gpio| Setting::Pin(PinSetting { of, gpio: Some(gpio) });
-    line.ask(Request::Set(pin(PinUse::Step(2), 33))).expect("a number");
+    let pin = |of, gpio| {
+        Setting::Pin(PinSetting {
+            of,
+            gpio: Some(gpio),
+        })
+    };
+    line.ask(Request::Set(pin(PinUse::Step(2), 33)))
+        .expect("a number");
     let fault = PinFault {
         of: PinUse::Step(2),
         gpio: Some(33),
@@ -241,7 +276,8 @@ fn a_board_that_cannot_be_wired_is_not_kept_and_says_which_pin_and_why() {
     };
     let refused = Err(HostError::Refused(Refused::Pins(fault)));
     assert_eq!(line.ask(Request::Commit), refused);
-    line.ask(Request::Set(pin(PinUse::Step(2), 8))).expect("a number");
+    line.ask(Request::Set(pin(PinUse::Step(2), 8)))
+        .expect("a number");
     assert_eq!(line.ask(Request::Commit), Ok(Reply::Kept { sequence: 1 }));
     let Ok(Reply::Pins(wiring)) = line.ask(Request::ShowPins) else {
         panic!("it shows what is kept");

@@ -86,9 +86,17 @@ fn a_pin_that_cannot_be_is_named_with_the_reason() {
         ("0:step", 5, "it is 0:step"),
     ] {
         let lamp_off = [(of, gpio), ("lamp", 21)];
-        let told: &[_] = if of == "lamp" { &lamp_off[..1] } else { &lamp_off };
+        let told: &[_] = if of == "lamp" {
+            &lamp_off[..1]
+        } else {
+            &lamp_off
+        };
         let said = words(0, told, &nothing);
-        let (of, other) = if why == "it is 0:step" { ("0:dir", why) } else { (of, why) };
+        let (of, other) = if why == "it is 0:step" {
+            ("0:dir", why)
+        } else {
+            (of, why)
+        };
         assert_eq!(said, format!("GPIO {gpio} cannot be {of}: {other}"));
     }
 }
@@ -157,11 +165,38 @@ fn every_use_reads_as_it_is_written() {
     let mut seen = 0;
     for of in wiring.uses(&machine) {
         assert_eq!(of.to_string().parse(), Ok(of));
+        assert_eq!(PinUse::try_from(u8::from(of)), Ok(of), "{of}");
         seen += 1;
     }
     assert_eq!(seen, 12 + 11 + KIT_SWITCHES.len());
+    let legal = (0..=255).filter(|code| PinUse::try_from(*code).is_ok());
+    for code in legal {
+        let of = PinUse::try_from(code).expect("legal");
+        assert_eq!(u8::from(of), code);
+        assert_eq!(of.to_string().parse(), Ok(of));
+    }
+    // Records have these bytes for ever.
+    let shown: Vec<u8> = [
+        PinUse::Step(3),
+        PinUse::Direction(1),
+        PinUse::Enable,
+        PinUse::Lidar,
+    ]
+    .map(u8::from)
+    .to_vec();
+    assert_eq!(shown, [3, 9, 64, 74]);
     for wrong in [
-        "", "step", "0", "4:step", "9:min", "c:home", "c:dir", "d:enable", "probe:min", "0:sep", "x:min",
+        "",
+        "step",
+        "0",
+        "4:step",
+        "9:min",
+        "c:home",
+        "c:dir",
+        "d:enable",
+        "probe:min",
+        "0:sep",
+        "x:min",
     ] {
         assert!(wrong.parse::<PinUse>().is_err(), "{wrong}");
     }
@@ -176,7 +211,10 @@ fn more_pins_than_a_chip_has_are_refused_and_change_nothing() {
     let machine = full();
     let all: Vec<_> = wiring.clone().uses(&machine).collect();
     for of in &all[..PINS_MAX] {
-        assert!(wiring.set(PinSetting { of: *of, gpio: Some(1) }));
+        assert!(wiring.set(PinSetting {
+            of: *of,
+            gpio: Some(1)
+        }));
     }
     let last = PinSetting {
         of: all[PINS_MAX],
@@ -184,6 +222,12 @@ fn more_pins_than_a_chip_has_are_refused_and_change_nothing() {
     };
     let before = wiring.clone();
     assert!(!wiring.set(last));
-    assert!(wiring.set(PinSetting { of: all[0], gpio: Some(1) }), "it is known");
+    assert!(
+        wiring.set(PinSetting {
+            of: all[0],
+            gpio: Some(1)
+        }),
+        "it is known"
+    );
     assert_eq!(wiring, before);
 }

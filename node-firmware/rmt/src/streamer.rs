@@ -395,7 +395,8 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> StepBackend for Streamer<R,
 
     fn played_steps(&self, axis: AxisId) -> i64 {
         let index = usize::from(axis.0);
-        let (Some(lane), Some(axis)) = (self.lanes.get(index), self.axes.as_ref().get(index)) else {
+        let (Some(lane), Some(axis)) = (self.lanes.get(index), self.axes.as_ref().get(index))
+        else {
             return 0;
         };
         axis.ledger().booked_steps() - lane.unplayed_steps(&self.registers)

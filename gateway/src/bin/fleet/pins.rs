@@ -106,7 +106,15 @@ mod tests {
 
     #[test]
     fn what_is_none_is_refused() {
-        for wrong in ["", "0:step", "0:step=x", "0:step=256", "4:step=1", "C=1", "=1"] {
+        for wrong in [
+            "",
+            "0:step",
+            "0:step=x",
+            "0:step=256",
+            "4:step=1",
+            "C=1",
+            "=1",
+        ] {
             assert!(read(wrong).is_err(), "{wrong}");
         }
     }

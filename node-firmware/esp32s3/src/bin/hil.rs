@@ -76,11 +76,7 @@ use esp_hal::{clock::CpuClock, timer::timg::TimerGroup};
 use esp_println::println;
 use esp_storage::FlashStorage;
 use esp_wifi::wifi::{ControllerConfig, WifiController};
-use provision::{
-    Machine, Wiring,
-    machine::SwitchSettings,
-    wiring::KIT_SWITCHES,
-};
+use provision::{Machine, Wiring, machine::SwitchSettings, wiring::KIT_SWITCHES};
 
 esp_bootloader_esp_idf::esp_app_desc!();
 

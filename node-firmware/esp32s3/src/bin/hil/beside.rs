@@ -1,5 +1,6 @@
 //! What a board has beside its pulses.
 
+use crate::{board, inputs::InputPins, pulses::rest, rmt::now_ticks, shift::ShiftRegister};
 #[cfg(feature = "timers")]
 use crate::{
     board::{Other, other_pin},
@@ -7,12 +8,11 @@ use crate::{
     pwm::PwmChip,
     rmt::reads_high,
 };
-use crate::{board, inputs::InputPins, pulses::rest, rmt::now_ticks, shift::ShiftRegister};
 use esp_hal::{gpio::Flex, peripherals::IO_MUX};
 use esp_println::println;
+use motion::TICKS_PER_US;
 #[cfg(feature = "timers")]
 use motion::{CdBackend, Ticks};
-use motion::TICKS_PER_US;
 #[cfg(feature = "timers")]
 use periphery::Laser;
 

@@ -115,7 +115,9 @@ pub(crate) fn check(bench: &mut Bench) {
     let lost = differences(bench, axes);
     let verdict = bench.fail(lost != 0 || write_us == u32::MAX);
     let stood_us = longest / TICKS_PER_US;
-    println!("{verdict} flash: written in {write_us} us, core 1 stood still for {stood_us} us at once, {lost} steps off");
+    println!(
+        "{verdict} flash: written in {write_us} us, core 1 stood still for {stood_us} us at once, {lost} steps off"
+    );
 }
 
 fn differences(bench: &mut Bench, axes: usize) -> u64 {

@@ -54,12 +54,21 @@ pub(crate) fn check(bench: &mut Bench) {
         }
         let received = transaction.wait().map_or(0, |(received, _)| received);
         let wanted = u64::from(delay_us) * TICKS_PER_US;
-        let steps_seen = codes[..received].iter().filter(|code| code.length1() > 0).count();
+        let steps_seen = codes[..received]
+            .iter()
+            .filter(|code| code.length1() > 0)
+            .count();
         // The last one has no end: behind it comes the idle time.
         let whole = &codes[..received.saturating_sub(1)];
         let interval = |code: &PulseCode| u64::from(code.length1()) + u64::from(code.length2());
-        let off = whole.iter().map(|code| interval(code).abs_diff(wanted)).max();
-        let narrowest = whole.iter().map(|code| code.length1().min(code.length2())).min();
+        let off = whole
+            .iter()
+            .map(|code| interval(code).abs_diff(wanted))
+            .max();
+        let narrowest = whole
+            .iter()
+            .map(|code| code.length1().min(code.length2()))
+            .min();
         let failed = steps_seen != count as usize || off != Some(0);
         let verdict = bench.fail(failed);
         println!(
