@@ -24,7 +24,7 @@ use esp_hal::{
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{Axis, StepBackend, Ticks, limits::CHANNELS};
-use rmt::{ChannelConfig, ChannelStatus, Place, Registers, Streamer, StreamerConfig};
+use rmt::{ChannelConfig, ChannelStatus, Registers, Streamer, StreamerConfig};
 
 #[cfg(feature = "counters")]
 use esp_hal::pcnt::{

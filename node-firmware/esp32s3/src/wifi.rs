@@ -6,8 +6,8 @@ use core::sync::atomic::Ordering;
 use embassy_net::{Ipv4Cidr, Runner, StaticConfigV4};
 use embassy_time::{Duration, Timer, with_timeout};
 use esp_wifi::wifi::{
-    AuthenticationMethodConfig, Config, Interface, PowerSaveMode, WifiController,
-    sta::StationConfig,
+    AuthenticationMethodConfig, Config, ConnectionError, DisconnectReason, Interface,
+    PowerSaveMode, WifiController, scan::ScanConfig, sta::StationConfig,
 };
 use provision::{
     record::{Network, Record},
@@ -73,7 +73,7 @@ async fn heard(controller: &mut WifiController<'static>, record: &Record) -> Hea
     };
     let mut heard = Heard::new();
     for point in &found {
-        let networks = record.networks.iter();
+        let mut networks = record.networks.iter();
         let index = networks.position(|of| of.ssid.as_str() == point.ssid.as_str());
         // More than there is room for: those that come first are the loudest.
         let _ = index.map(|index| heard.push((index, point.signal_strength)));

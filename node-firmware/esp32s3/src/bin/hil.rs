@@ -24,7 +24,6 @@
 //! With four axes each transmitter has its own block, so the receivers' are free for the loopback.
 #![no_std]
 #![no_main]
-#![cfg_attr(target_arch = "xtensa", feature(asm_experimental_arch))]
 
 extern crate alloc;
 
@@ -67,13 +66,11 @@ mod stages;
 #[expect(dead_code, reason = "no task feeds anything here")]
 mod watchdog;
 
-use crate::{inputs::InputPins, pulses::Bench, rmt::RmtBackend};
-use core::sync::atomic::Ordering;
+use crate::{pulses::Bench, rmt::RmtBackend};
 use embassy_executor::Spawner;
 #[cfg(feature = "counters")]
 use esp_hal::pcnt::Pcnt;
 use esp_hal::{clock::CpuClock, timer::timg::TimerGroup};
-use esp_println::println;
 use esp_storage::FlashStorage;
 use esp_wifi::wifi::{ControllerConfig, WifiController};
 use provision::{Machine, Wiring, machine::SwitchSettings, wiring::KIT_SWITCHES};
