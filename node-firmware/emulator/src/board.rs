@@ -22,7 +22,7 @@ use crate::{
 };
 use keys::Keys;
 use motion::limits::CHANNELS;
-use provision::{Chip, Dialogue, Found, Record, Store, frame::FRAME_BYTES_MAX, wiring};
+use provision::{Chip, Dialogue, Record, Store, frame::FRAME_BYTES_MAX, wiring};
 use serialport::{SerialPort, TTYPort};
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -287,7 +287,10 @@ mod tests {
         status::{FaultCode, NodeState},
     };
     use motion::{Direction, io::input::Switch};
-    use provision::machine::{End, SwitchOf, SwitchSettings};
+    use provision::{
+        Found,
+        machine::{End, SwitchOf, SwitchSettings},
+    };
 
     fn record() -> Record {
         let mut record = Record {
@@ -426,7 +429,7 @@ mod tests {
         assert_eq!(codes, [FaultCode::RECORD]);
         assert_eq!(
             status.state,
-            NodeState::Stopped,
+            NodeState::Fault,
             "nothing moves until a release"
         );
     }
