@@ -115,6 +115,7 @@ pub(crate) fn step_pin_of(channel: usize) -> Option<u8> {
 }
 
 /// Returns how many axes have a pulse counter: the chip has four, and the last one is C's where there is C.
+#[cfg(feature = "counters")]
 #[inline(always)]
 pub(crate) fn counted_axes() -> usize {
     let for_c = usize::from(other_pin(Other::StepC).is_some());
@@ -144,6 +145,10 @@ pub(crate) enum Other {
     /// The lamp that says how the node is.
     Lamp,
     /// Step output of C.
+    #[cfg_attr(
+        not(feature = "timers"),
+        expect(dead_code, reason = "without timers there is no C")
+    )]
     StepC,
     /// Step output of D.
     StepD,

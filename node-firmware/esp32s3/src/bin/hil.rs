@@ -21,7 +21,8 @@
 //! | panic | its reason is there after the reset, in RTC RAM |
 //! | watchdogs | both bite, and the next boot knows which |
 //!
-//! With four axes each transmitter has its own block, so the receivers' are free for the loopback.
+//! With four axes each transmitter has its own block, so the receivers' are free for the loopback. The ESP32-C6
+//! has two transmitters, of which one borrows the receivers' blocks: no loopback there, and with one core no load.
 #![no_std]
 #![no_main]
 
@@ -42,6 +43,7 @@ mod heap;
 mod inputs;
 #[path = "hil/load.rs"]
 mod load;
+#[cfg(not(feature = "esp32c6"))]
 #[path = "hil/loopback.rs"]
 mod loopback;
 #[path = "../panic.rs"]
