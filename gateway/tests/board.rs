@@ -237,15 +237,28 @@ fn a_board_is_wired_as_it_was_told_and_says_what_has_become_of_its_record() {
         (code, out, err)
     };
     let board = power_on();
-    let who = ["--name", "left", "--wifi", "any", "--router", &gateway.connect];
-    let (code, _, err) = tell(&board, &[&who[..], &["--axes", "4", "--pin", "3:dir=36"]].concat());
+    let who = [
+        "--name",
+        "left",
+        "--wifi",
+        "any",
+        "--router",
+        &gateway.connect,
+    ];
+    let (code, _, err) = tell(
+        &board,
+        &[&who[..], &["--axes", "4", "--pin", "3:dir=36"]].concat(),
+    );
     assert_eq!(code, Some(1));
     let why = "GPIO 36 cannot be 3:dir: the module's octal PSRAM is there";
     assert!(err.contains(why), "{err}");
     let wired = ["--axes", "4", "--pin", "3:dir=13,0:enable=14", "--restart"];
     let (code, out, err) = tell(&board, &[&who[..], &wired].concat());
     assert_eq!(code, Some(0), "{err}");
-    assert!(out.contains("axes        4\n") && out.contains(" 3:dir=13"), "{out}");
+    assert!(
+        out.contains("axes        4\n") && out.contains(" 3:dir=13"),
+        "{out}"
+    );
     wait_for(&gateway, "left", true);
     let job = file("job.json");
     let go = r#"{"commands":[{"move":{"axis":3,"delay_us":100,"steps":500}}]}"#;
@@ -273,7 +286,10 @@ fn a_board_is_wired_as_it_was_told_and_says_what_has_become_of_its_record() {
     let Ran { code, err, .. } = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
     assert_eq!(code, Some(0), "somebody has looked: {err}");
     let (_, out, _) = tell(&board, &[]);
-    assert!(out.contains("record      damaged: the one before is used"), "{out}");
+    assert!(
+        out.contains("record      damaged: the one before is used"),
+        "{out}"
+    );
 
     // Told of a signer, and that decays: the record before would believe anybody.
     let signers = file("signers");
@@ -285,7 +301,10 @@ fn a_board_is_wired_as_it_was_told_and_says_what_has_become_of_its_record() {
     decay(&file("flash.bin"), 1);
     let board = power_on();
     let (_, out, _) = tell(&board, &[]);
-    assert!(out.contains("record      damaged: the node does nothing"), "{out}");
+    assert!(
+        out.contains("record      damaged: the node does nothing"),
+        "{out}"
+    );
     assert!(out.contains("name        none"), "{out}");
     assert_eq!(left()["alive"], false);
     let (code, _, err) = tell(&board, &[&who[..], &["--restart"]].concat());

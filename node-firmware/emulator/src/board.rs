@@ -284,13 +284,9 @@ mod tests {
     use keys::{
         AxisId, BatchHeader, Command, JobId, LocalMicros, NodeId, NodeTopic,
         batch::{BatchWriter, ORDER_BYTES_MAX},
-        status::{FaultCode, NodeState},
     };
     use motion::{Direction, io::input::Switch};
-    use provision::{
-        Found,
-        machine::{End, SwitchOf, SwitchSettings},
-    };
+    use provision::machine::{End, SwitchOf, SwitchSettings};
 
     fn record() -> Record {
         let mut record = Record {
@@ -397,41 +393,6 @@ mod tests {
             "nobody looks at that one"
         );
         assert_eq!(node.status().faults.as_slice(), []);
-    }
-
-    #[test]
-    fn a_board_moves_as_many_axes_as_it_was_told() {
-        let mut record = record();
-        record.wiring.axis_count = 4;
-        let config = config_of(&record, &Flash::blank(), &base()).expect("a machine");
-        let all = [0, 1, 2, 3].map(|axis| Command::Move {
-            axis: AxisId(axis),
-            delay_us: 100,
-            steps: 10 + i32::from(axis),
-        });
-        let node = play(config, &all);
-        let positions = node.status().axes.clone();
-        let positions: Vec<i64> = positions.iter().map(|axis| axis.position_steps).collect();
-        assert_eq!(positions, [10, 11, 12, 13]);
-        oracle::check_life(&node.life()).expect("good pulses");
-    }
-
-    #[test]
-    fn an_older_record_is_a_fault_that_stands_until_it_is_released() {
-        let mut base = base();
-        base.found = Found::Older;
-        let config = config_of(&record(), &Flash::blank(), &base).expect("a machine");
-        let mut node = EmulatedNode::new(config, 7);
-        node.link(true, LocalMicros(0));
-        node.poll(LocalMicros(1_000));
-        let status = node.status();
-        let codes: Vec<FaultCode> = status.faults.iter().map(|fault| fault.code).collect();
-        assert_eq!(codes, [FaultCode::RECORD]);
-        assert_eq!(
-            status.state,
-            NodeState::Fault,
-            "nothing moves until a release"
-        );
     }
 
     #[test]

@@ -37,7 +37,10 @@ const PIECE: u32 = layout::SLOTS[1].at + layout::SLOTS[1].bytes - FlashStorage::
 struct Piece([u8; 256]);
 
 /// Core 0: does what is asked until it is enough.
-#[cfg_attr(not(feature = "dual"), expect(dead_code, reason = "one core tests, and nobody serves"))]
+#[cfg_attr(
+    not(feature = "dual"),
+    expect(dead_code, reason = "one core tests, and nobody serves")
+)]
 pub(crate) async fn serve(
     mut wifi: Option<WifiController<'static>>,
     mut flash: FlashStorage<'static>,
