@@ -21,8 +21,11 @@
 //!
 //! Firmware that knew no marks wrote the same copies and ignores what is behind them.
 
+mod mark;
+
 use crate::record::{RECORD_BYTES_MAX, Record};
 use embedded_storage::nor_flash::NorFlash;
+use mark::{MARK_BYTES, Mark, identity, mark_bytes, mark_of};
 use serde::{Deserialize, Serialize};
 
 const MAGIC: u32 = 0x464c_5443;
@@ -34,9 +37,6 @@ const COPY_BYTES: usize = (HEADER_BYTES + RECORD_BYTES_MAX).next_multiple_of(16)
 /// A copy with zeros behind it, enough for the fields that an older one lacks.
 const PADDED_BYTES: usize = COPY_BYTES + 32;
 
-/// A mark begins with this.
-const MARK_MAGIC: u32 = 0x4b52_4d46;
-const MARK_BYTES: usize = 16;
 /// From the end of a unit: of the copy itself, and of the one that replaced it.
 const MARKS: [usize; 2] = [2 * MARK_BYTES, MARK_BYTES];
 const OWN: usize = 0;
@@ -80,13 +80,6 @@ impl core::fmt::Display for StoreError {
 }
 
 impl core::error::Error for StoreError {}
-
-/// A finished record, in the words of its mark.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Mark {
-    sequence: u32,
-    identity: u32,
-}
 
 /// Where the next record goes.
 #[derive(Clone, Copy, Debug)]
@@ -303,81 +296,6 @@ impl<F: NorFlash> Store<F> {
 #[inline(never)]
 fn clear(record: &mut Record) {
     *record = Record::default();
-}
-
-/// Returns a checksum of who the node is, whom it talks to and believes, and how it is wired: of all that
-/// an older record must have in common to stand in for a newer one.
-fn identity(record: &Record) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
-    // Each with its length, and what may be missing with a sign, so that nothing else reads the same.
-    let mut part = |bytes: &[u8]| {
-        hasher.update(&(bytes.len() as u32).to_le_bytes());
-        hasher.update(bytes);
-    };
-    part(
-        record
-            .name
-            .as_ref()
-            .map_or("", |name| name.as_str())
-            .as_bytes(),
-    );
-    part(record.prefix.as_bytes());
-    part(&[record.networks.len() as u8]);
-    for network in &record.networks {
-        part(network.ssid.as_bytes());
-        part(network.password.as_bytes());
-    }
-    let mut address = [0; 10];
-    if let Some(fixed) = &record.fixed_address {
-        address[0] = 1;
-        address[1..5].copy_from_slice(&fixed.address);
-        address[5] = fixed.prefix_bits;
-        address[6..].copy_from_slice(&fixed.gateway);
-    }
-    part(&address);
-    part(record.router.as_bytes());
-    part(&[u8::from(record.login.is_some())]);
-    if let Some(login) = &record.login {
-        part(login.user.as_bytes());
-        part(login.password.as_bytes());
-    }
-    part(record.update_key.as_ref().map_or(&[], |key| &key[..]));
-    part(&[u8::from(record.boot_script), record.signers.len() as u8]);
-    for key in &record.signers {
-        part(key);
-    }
-    part(&[u8::from(record.authority.is_some())]);
-    if let Some(authority) = &record.authority {
-        part(&authority.subject);
-        part(&authority.key);
-    }
-    part(&[record.wiring.axes() as u8, record.wiring.pins.len() as u8]);
-    for pin in &record.wiring.pins {
-        let mut bytes = [0; 8];
-        let bytes = postcard::to_slice(pin, &mut bytes).expect("a pin is six bytes at most");
-        part(bytes);
-    }
-    hasher.finalize()
-}
-
-fn mark_bytes(mark: Mark) -> [u8; MARK_BYTES] {
-    let mut bytes = [0; MARK_BYTES];
-    bytes[0..4].copy_from_slice(&MARK_MAGIC.to_le_bytes());
-    bytes[4..8].copy_from_slice(&mark.sequence.to_le_bytes());
-    bytes[8..12].copy_from_slice(&mark.identity.to_le_bytes());
-    let crc = crc32fast::hash(&bytes[..12]);
-    bytes[12..16].copy_from_slice(&crc.to_le_bytes());
-    bytes
-}
-
-fn mark_of(bytes: &[u8; MARK_BYTES]) -> Option<Mark> {
-    let word =
-        |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-    let mark = Mark {
-        sequence: word(4),
-        identity: word(8),
-    };
-    (mark_bytes(mark) == *bytes).then_some(mark)
 }
 
 /// Sequence numbers may wrap.
