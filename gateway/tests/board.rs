@@ -25,6 +25,50 @@ fn path(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
+/// What `fleet nodes` says.
+fn nodes(gateway: &Gateway) -> (Vec<serde_json::Value>, String) {
+    let Ran { out, err, .. } = fleet(&["nodes", "--json", "--connect", &gateway.connect]);
+    let lines = out.lines().map(serde_json::from_str);
+    let nodes: Vec<serde_json::Value> = lines.collect::<Result<_, _>>().expect("JSON");
+    (nodes, err)
+}
+
+fn wait_for(gateway: &Gateway, name: &str, alive: bool) {
+    let began = std::time::Instant::now();
+    loop {
+        let (known, err) = nodes(gateway);
+        let is_meant = |node: &&serde_json::Value| node["node"] == name;
+        if known
+            .iter()
+            .find(is_meant)
+            .is_some_and(|node| node["alive"] == alive)
+        {
+            return;
+        }
+        assert!(began.elapsed() < PATIENCE, "{known:?} {err}");
+    }
+}
+
+/// Where the record lies in a board's flash: `update::layout`.
+const RECORD_AT: u64 = 0x61_0000;
+
+/// A bit of the newest record decays: that in this erase unit.
+fn decay(flash: &Path, unit: u64) {
+    use std::io::{Read, Seek, SeekFrom, Write};
+
+    let open = std::fs::OpenOptions::new()
+        .read(true)
+        .write(true)
+        .open(flash);
+    let mut file = open.expect("the flash's file");
+    let at = SeekFrom::Start(RECORD_AT + unit * 4_096 + 20);
+    let mut byte = [0];
+    file.seek(at).expect("inside");
+    file.read_exact(&mut byte).expect("read");
+    file.seek(at).expect("inside");
+    file.write_all(&[byte[0] ^ 4]).expect("written");
+}
+
 fn spawn(gateway: &Gateway, flash: Flash, public: &Path) -> EmulatedHandle {
     let text = std::fs::read_to_string(public).expect("a public key");
     let digits = text.trim().as_bytes();
@@ -113,28 +157,8 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let files = tempfile::tempdir().expect("a directory");
     let file = |name: &str| files.path().join(name);
     let base = || EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
-    let nodes = || {
-        let Ran { out, err, .. } = fleet(&["nodes", "--json", "--connect", &gateway.connect]);
-        let lines = out.lines().map(serde_json::from_str);
-        let nodes: Vec<serde_json::Value> = lines.collect::<Result<_, _>>().expect("JSON");
-        (nodes, err)
-    };
-    let wait_for = |name: &str, alive: bool| {
-        let began = std::time::Instant::now();
-        loop {
-            let (known, err) = nodes();
-            let is_meant = |node: &&serde_json::Value| node["node"] == name;
-            if known
-                .iter()
-                .find(is_meant)
-                .is_some_and(|node| node["alive"] == alive)
-            {
-                return;
-            }
-            assert!(began.elapsed() < PATIENCE, "{known:?} {err}");
-        }
-    };
-
+    let nodes = || nodes(&gateway);
+    let wait_for = |name: &str, alive: bool| wait_for(&gateway, name, alive);
     let flash = Flash::open(&file("flash.bin")).expect("a file");
     let board = EmulatedBoard::power_on(flash, base()).expect("a pseudo-terminal");
     // Nobody has told it anything: there is no node that could move.
@@ -193,5 +217,98 @@ fn a_board_is_told_who_it_is_over_its_line_and_is_that_node_from_then_on() {
     let said: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(said["node"], "left");
     assert!(!out.contains(SECRET), "{out}");
+    let _lives = runtime.block_on(board.power_off());
+}
+
+#[test]
+fn a_board_is_wired_as_it_was_told_and_says_what_has_become_of_its_record() {
+    let gateway = Gateway::start();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let _inside = runtime.enter();
+    let files = tempfile::tempdir().expect("a directory");
+    let file = |name: &str| files.path().join(name);
+    let power_on = || {
+        let flash = Flash::open(&file("flash.bin")).expect("a file");
+        let base = EmulatorConfig::new(NodeId::new("nobody").expect("legal"));
+        EmulatedBoard::power_on(flash, base).expect("a pseudo-terminal")
+    };
+    let tell = |board: &EmulatedBoard, line: &[&str]| {
+        let Ran { code, out, err } = fleet(&[&["provision", board.port()], line].concat());
+        (code, out, err)
+    };
+    let board = power_on();
+    let who = [
+        "--name",
+        "left",
+        "--wifi",
+        "any",
+        "--router",
+        &gateway.connect,
+    ];
+    let (code, _, err) = tell(
+        &board,
+        &[&who[..], &["--axes", "4", "--pin", "3:dir=36"]].concat(),
+    );
+    assert_eq!(code, Some(1));
+    let why = "GPIO 36 cannot be 3:dir: the module's octal PSRAM is there";
+    assert!(err.contains(why), "{err}");
+    let wired = ["--axes", "4", "--pin", "3:dir=13,0:enable=14", "--restart"];
+    let (code, out, err) = tell(&board, &[&who[..], &wired].concat());
+    assert_eq!(code, Some(0), "{err}");
+    assert!(
+        out.contains("axes        4\n") && out.contains(" 3:dir=13"),
+        "{out}"
+    );
+    wait_for(&gateway, "left", true);
+    let job = file("job.json");
+    let go = r#"{"commands":[{"move":{"axis":3,"delay_us":100,"steps":500}}]}"#;
+    std::fs::write(&job, go).expect("written");
+    let line = ["submit", path(&job), "--node", "left", "--wait"];
+    let Ran { code, err, .. } = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
+    assert_eq!(code, Some(0), "{err}");
+    let of_left = |node: &serde_json::Value| node["node"] == "left";
+    let left = || nodes(&gateway).0.into_iter().find(of_left).expect("known");
+    assert_eq!(left()["position"], serde_json::json!([0, 0, 0, 500]));
+
+    // Told of a machine, and that decays: the record before is the same node.
+    let (code, _, err) = tell(&board, &["--lidar"]);
+    assert_eq!(code, Some(0), "{err}");
+    let _lives = runtime.block_on(board.power_off());
+    wait_for(&gateway, "left", false);
+    decay(&file("flash.bin"), 1);
+    let board = power_on();
+    wait_for(&gateway, "left", true);
+    let said = left().to_string();
+    assert!(said.contains("stored configuration damaged"), "{said}");
+    assert_ne!(left()["stopped"], serde_json::Value::Null, "{said}");
+    let Ran { code, err, .. } = fleet(&["release", "left", "--connect", &gateway.connect]);
+    assert_eq!(code, Some(0), "{err}");
+    let Ran { code, err, .. } = fleet(&[&line[..], &["--connect", &gateway.connect]].concat());
+    assert_eq!(code, Some(0), "somebody has looked: {err}");
+    let (_, out, _) = tell(&board, &[]);
+    assert!(
+        out.contains("record      damaged: the one before is used"),
+        "{out}"
+    );
+
+    // Told of a signer, and that decays: the record before would believe anybody.
+    let signers = file("signers");
+    std::fs::write(&signers, format!("alice {}\n", "ab".repeat(32))).expect("written");
+    let (code, _, err) = tell(&board, &["--signers", path(&signers)]);
+    assert_eq!(code, Some(0), "{err}");
+    let _lives = runtime.block_on(board.power_off());
+    wait_for(&gateway, "left", false);
+    decay(&file("flash.bin"), 1);
+    let board = power_on();
+    let (_, out, _) = tell(&board, &[]);
+    assert!(
+        out.contains("record      damaged: the node does nothing"),
+        "{out}"
+    );
+    assert!(out.contains("name        none"), "{out}");
+    assert_eq!(left()["alive"], false);
+    let (code, _, err) = tell(&board, &[&who[..], &["--restart"]].concat());
+    assert_eq!(code, Some(0), "{err}");
+    wait_for(&gateway, "left", true);
     let _lives = runtime.block_on(board.power_off());
 }

@@ -443,3 +443,69 @@ fn the_driver_of_an_axis_is_told_by_name_or_number_and_shown_as_it_was_given() {
     assert_eq!((axes[1].dir_setup_ns, axes[1].dir_hold_ns), (1_000, 650));
     assert!(!axes[0].direction_inverted && axes[1].direction_inverted);
 }
+
+#[test]
+fn axes_and_pins_are_told_and_shown_and_one_that_cannot_be_is_named_with_the_reason() {
+    let board = Board::new(false);
+    let (code, out, err) = board.fleet(&["--name", "left", "--wifi", "shop"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(!out.contains("pins"), "as the kit has them: {out}");
+    let told = [
+        "--axes",
+        "4",
+        "--pin",
+        "2:step=9,2:dir=12",
+        "--pin",
+        "lamp=none",
+    ];
+    let (code, out, err) = board.fleet(&told);
+    assert_eq!(code, Some(0), "{err}");
+    let lines = "axes        4
+pins        0:step=4 0:dir=5 1:step=6 1:dir=7 2:step=9 2:dir=12 3:step=21
+pins        3:dir=47 enable=15 laser=11 stop=10 lamp=none
+";
+    assert!(out.ends_with(lines), "{out}");
+    for (line, words) in [
+        (
+            &["--pin", "3:step=33"][..],
+            "GPIO 33 cannot be 3:step: the module's octal PSRAM is there",
+        ),
+        (
+            &["--pin", "3:step=20"],
+            "GPIO 20 cannot be 3:step: USB is there",
+        ),
+        (
+            &["--pin", "laser=18"],
+            "GPIO 18 cannot be laser: it is driven high for 60 µs at power on",
+        ),
+        (
+            &["--pin", "3:step=4"],
+            "GPIO 4 cannot be 3:step: it is 0:step",
+        ),
+        (
+            &["--switch", "c:min=nc", "--pin", "c:min=21"],
+            "GPIO 21 cannot be c:min: it is 3:step",
+        ),
+        (&["--switch", "2:min=nc"], "2:min: it has no pin (--pin)"),
+        (
+            &["--axes", "2"],
+            "GPIO 9 cannot be 2:step: there are 2 axes",
+        ),
+        (&["--pin", "stop=none"], "there can be no such pin"),
+    ] {
+        let (code, _, err) = board.fleet(line);
+        assert_eq!(code, Some(1), "{line:?}");
+        assert!(err.contains(words), "{err}");
+    }
+    for line in [["--axes", "5"], ["--pin", "4:step=1"], ["--pin", "laser"]] {
+        let (code, _, err) = board.fleet(&line);
+        assert_eq!(code, Some(2), "{line:?} {err}");
+    }
+    let (_, out, _) = board.fleet(&[]);
+    assert!(out.ends_with(lines), "nothing was changed: {out}");
+    let (code, out, err) = board.fleet(&["--no-pins", "--axes", "0"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(!out.contains("pins"), "{out}");
+    let (record, _) = board.end();
+    assert_eq!(record.wiring, provision::Wiring::default());
+}

@@ -92,6 +92,8 @@ impl FaultCode {
     pub const RESET: Self = Self(302);
     /// Stored scripts do not fit in the memory: some of them were not loaded.
     pub const SCRIPTS: Self = Self(303);
+    /// What the node was told last can no longer be read: drivers, switches and tuning are older.
+    pub const RECORD: Self = Self(304);
     /// Another controller speaks under the same name.
     pub const TWIN: Self = Self(401);
     /// The node obeys another gateway.
@@ -113,6 +115,7 @@ impl FaultCode {
             Self::PANIC => "firmware panic",
             Self::RESET => "the controller was reset, the log says by what",
             Self::SCRIPTS => "stored scripts do not fit in memory",
+            Self::RECORD => "stored configuration damaged, an older one is in use",
             Self::TWIN => {
                 "another controller speaks under this name; it gets no jobs until only one does"
             }

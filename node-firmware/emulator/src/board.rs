@@ -22,7 +22,7 @@ use crate::{
 };
 use keys::Keys;
 use motion::limits::CHANNELS;
-use provision::{Dialogue, Record, Store, dialogue::PROMPT, frame::FRAME_BYTES_MAX};
+use provision::{Chip, Dialogue, Record, Store, frame::FRAME_BYTES_MAX, wiring};
 use serialport::{SerialPort, TTYPort};
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -159,7 +159,7 @@ fn talk(
         if !dialogue.record().is_complete() && is_due {
             prompted_at = Some(Instant::now());
             // Nobody listens: then nobody misses it.
-            let _ = near.write_all(PROMPT.as_bytes());
+            let _ = near.write_all(dialogue.prompt().as_bytes());
         }
         let mut bytes = [0; 64];
         let count = match near.read(&mut bytes) {
@@ -211,10 +211,21 @@ async fn live(shared: Arc<Shared>, flash: Flash, base: EmulatorConfig) -> Vec<Li
 
 /// Starts the node that the record names, if it is complete.
 fn boot(flash: &Flash, base: &EmulatorConfig) -> Option<EmulatedHandle> {
-    let record = store_of(flash).ok()?.read().ok()??;
+    let mut record = Record::default();
+    let found = store_of(flash).ok()?.read_into(&mut record).ok()?;
+    // A record that is not there, or damaged, is the empty one.
     if !record.is_complete() {
         return None;
     }
+    let fault = wiring::check(&record.wiring, &record.machine, Chip::Esp32S3).err();
+    if let Some(fault) = fault {
+        tracing::error!("the board does not start: {fault}");
+        return None;
+    }
+    let base = &EmulatorConfig {
+        found,
+        ..base.clone()
+    };
     let node = config_of(&record, flash, base).and_then(wall::spawn);
     node.inspect_err(|error| tracing::error!("the board does not start: {error}"))
         .ok()
@@ -248,7 +259,11 @@ fn config_of(
             Some(authority.map_err(SpawnError::Authority)?)
         }
     };
-    config.axis_count = config.axis_count.max(record.axes.len()).min(CHANNELS);
+    // As many as it was told. Else a PC has room for each that it was told the driver of.
+    config.axis_count = match record.wiring.axis_count {
+        0 => config.axis_count.max(record.axes.len()).min(CHANNELS),
+        _ => record.wiring.axes(),
+    };
     config.motion = provision::kit::motion_of(record, config.axis_count);
     config.machine.switches = bed::switches(&config.motion, base);
     config.check().map_err(SpawnError::Motion)?;

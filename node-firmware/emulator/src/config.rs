@@ -23,6 +23,7 @@ use node::{
     limits::{LINK_LOSS_AFTER_US_DEFAULT, RING_COMMANDS_DEFAULT},
 };
 pub use pico::session::Credentials;
+use provision::Found;
 use std::{ops::RangeInclusive, path::PathBuf};
 
 /// What is kept for the oracle.
@@ -97,6 +98,8 @@ pub struct EmulatorConfig {
     pub flash: Option<Flash>,
     /// Public key (ed25519) that images must be signed with; none by default: none is taken.
     pub update_key: Option<[u8; 32]>,
+    /// What the boot found of the record; whole by default.
+    pub found: Found,
 }
 
 impl EmulatorConfig {
@@ -127,6 +130,7 @@ impl EmulatorConfig {
             credentials: None,
             flash: None,
             update_key: None,
+            found: Found::Whole,
         }
     }
 

@@ -1,12 +1,12 @@
 //! C and D: the registers of their timers and of C's counter, and its interrupt.
 //!
 //! Logic is in [`periphery::cd`]; here is one access after the other. C has timer and operator 0 of
-//! MCPWM0 and unit 2 of the pulse counter, D the LEDC's channel 1.
+//! MCPWM0 and unit 3 of the pulse counter, D the LEDC's channel 1.
 
 use crate::{
-    board::{STEP_PIN_C, pin},
+    board::{Other, other_pin, pin},
     pwm::PwmChip,
-    rmt::{route_pin, take_pin},
+    rmt::{reads_high, route_pin, take_pin},
 };
 use core::cell::UnsafeCell;
 use esp_hal::{
@@ -21,15 +21,15 @@ use esp_hal::{
         Pcnt,
         channel::{CtrlMode, EdgeMode},
     },
-    peripherals::{GPIO, MCPWM0, PCNT},
+    peripherals::{MCPWM0, PCNT},
     ram,
     time::Rate,
 };
 use motion::{CdBackend, Direction, Ticks, limits::TICK_HZ};
 use periphery::{CdRegisters, PwmRegisters, PwmTimer, Timers, cd::StepTimer};
 
-/// Unit of the pulse counter.
-const UNIT: usize = 2;
+/// Unit of the pulse counter: the last one, see `board::counted_axes`.
+const UNIT: usize = 3;
 
 /// The hardware itself; there is nothing to hold.
 #[derive(Debug)]
@@ -92,16 +92,18 @@ impl CdRegisters for CdChip {
     }
 
     fn set_gate(&mut self, open: bool) {
+        let Some(number) = other_pin(Other::StepC) else {
+            return;
+        };
         if open {
-            route_pin(STEP_PIN_C, OutputSignal::PWM0_0A);
+            route_pin(number, OutputSignal::PWM0_0A);
         } else {
-            take_pin(STEP_PIN_C);
+            take_pin(number);
         }
     }
 
     fn step_pin_c(&self) -> bool {
-        const { assert!(STEP_PIN_C >= 32, "it is read in the second register") };
-        GPIO::regs().in1().read().bits() >> (STEP_PIN_C - 32) & 1 != 0
+        other_pin(Other::StepC).is_some_and(reads_high)
     }
 
     fn reset_counter(&mut self, steps: u16) {
@@ -170,13 +172,14 @@ impl Cd {
     /// LEDC runs already.
     ///
     /// # Panics
-    /// The clock of MCPWM is none of 16 MHz, which is a divisor of its 160.
+    /// The board has no step pin of C; or the clock of MCPWM is none of 16 MHz, which is a divisor of its 160.
     pub(crate) fn new(mcpwm: MCPWM0<'static>, counters: &mut Pcnt<'static>) -> Self {
         let clock = PeripheralClockConfig::with_frequency(Rate::from_hz(TICK_HZ as u32))
             .expect("a tenth of its 160 MHz");
         let mut mcpwm = McPwm::new(mcpwm, clock);
         mcpwm.operator0.set_timer(&mcpwm.timer0);
-        let mut flex = Flex::new(pin(STEP_PIN_C));
+        let number = other_pin(Other::StepC).expect("a wiring that was checked");
+        let mut flex = Flex::new(pin(number));
         flex.apply_output_config(&OutputConfig::default());
         flex.apply_input_config(&InputConfig::default());
         flex.set_input_enable(true);
@@ -190,7 +193,7 @@ impl Cd {
         // The HAL keeps clocks and pin for as long as these exist.
         core::mem::forget(mcpwm.operator0.with_pin_a(step_out, config));
         core::mem::forget(mcpwm.timer0);
-        let unit = &counters.unit2;
+        let unit = &counters.unit3;
         unit.channel0.set_edge_signal(step_in);
         unit.channel0
             .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);

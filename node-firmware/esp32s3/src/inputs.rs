@@ -25,9 +25,11 @@ static ENABLE: AtomicU8 = AtomicU8::new(0);
 /// There may be something to take.
 static CAUGHT: AtomicBool = AtomicBool::new(false);
 
-/// The hardware itself; there is nothing to hold.
+/// The hardware itself, and which pins it was ever told to listen to.
 #[derive(Debug)]
-struct Pins;
+struct Pins {
+    known: u64,
+}
 
 impl InputRegisters for Pins {
     #[inline(always)]
@@ -49,11 +51,16 @@ impl InputRegisters for Pins {
     #[inline(always)]
     fn listen(&mut self, pins: u64) {
         let enable = ENABLE.load(Ordering::Relaxed);
-        for (_, number) in crate::board::INPUT_PINS {
-            let bits = if pins >> number & 1 != 0 { enable } else { 0 };
-            let config = GPIO::regs().pin(usize::from(number));
-            // SAFETY: the bits that the HAL has set there, or none.
-            config.modify(|_, w| unsafe { w.int_ena().bits(bits) });
+        self.known |= pins;
+        let (mut rest, mut listen, mut number) = (self.known, pins, 0);
+        while rest != 0 {
+            if rest & 1 != 0 {
+                let bits = if listen & 1 != 0 { enable } else { 0 };
+                let config = GPIO::regs().pin(number);
+                // SAFETY: the bits that the HAL has set there, or none.
+                config.modify(|_, w| unsafe { w.int_ena().bits(bits) });
+            }
+            (rest, listen, number) = (rest >> 1, listen >> 1, number + 1);
         }
     }
 
@@ -64,9 +71,6 @@ impl InputRegisters for Pins {
 
     #[inline(always)]
     fn counter(&self, axis: usize) -> Option<i16> {
-        if axis >= crate::board::AXES {
-            return None;
-        }
         crate::rmt::Chip.counter(axis)
     }
 }
@@ -77,7 +81,7 @@ struct Shared(UnsafeCell<Capture<Pins>>);
 // at once: the task masks interrupts while it does.
 unsafe impl Sync for Shared {}
 
-static CAPTURE: Shared = Shared(UnsafeCell::new(Capture::new(Pins)));
+static CAPTURE: Shared = Shared(UnsafeCell::new(Capture::new(Pins { known: 0 })));
 
 /// The interrupt of the input pins. As urgent as a refill, so neither comes into the other.
 #[handler(priority = Priority::Priority3)]

@@ -8,7 +8,7 @@
 //! | quick blinking | it moves |
 
 use crate::{
-    board::LAMP_PIN,
+    board::{Other, other_pin},
     plan::{LINK, MOVES},
     rmt::set_pin,
 };
@@ -27,7 +27,9 @@ pub(crate) async fn show(provisioned: bool) {
             (true, false, true) => true,
             (true, false, false) => step % 20 < 10,
         };
-        set_pin(LAMP_PIN, on);
+        if let Some(number) = other_pin(Other::Lamp) {
+            set_pin(number, on);
+        }
         step = step.wrapping_add(1);
         Timer::after(Duration::from_millis(100)).await;
     }

@@ -1,7 +1,7 @@
 //! The lidar's serial line, on core 0.
 
 use crate::{
-    board::{LIDAR_PIN, pin},
+    board::{Other, other_pin, pin},
     plan::WAKE,
 };
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -25,7 +25,8 @@ pub(crate) static READING_MM: AtomicU32 = AtomicU32::new(0);
 pub(crate) async fn read(uart: UART1<'static>) {
     let config = Config::default().with_baudrate(BAUD);
     let uart = Uart::new(uart, config).expect("a rate that every clock of the chip can make");
-    let mut line = uart.with_rx(pin(LIDAR_PIN)).into_async();
+    let number = other_pin(Other::Lidar).expect("a wiring that was checked");
+    let mut line = uart.with_rx(pin(number)).into_async();
     let mut lidar = TfLuna::new();
     loop {
         ASKED.wait().await;

@@ -53,6 +53,8 @@ use crate::{
     stop_pin::StopPin,
     watchdog::PlanningWatchdog,
 };
+#[cfg(feature = "dual")]
+use core::sync::atomic::Ordering;
 use core::{cell::RefCell, sync::atomic::AtomicU32};
 use embassy_executor::Spawner;
 use embassy_futures::select::{Either, select};
@@ -70,7 +72,7 @@ use heapless::{Vec, spsc::Queue};
 use keys::{Keys, command::COMMAND_WORDS};
 use motion::{MotionConfig, PlanMemory, io::input::INPUTS_MAX};
 use node::{Node, NodeConfig, Outbound};
-use provision::{Dialogue, Record, Store};
+use provision::{Dialogue, Found, PinUse, Record, Store, Wiring};
 use static_cell::{ConstStaticCell, StaticCell};
 use update::{Keeper, Layout};
 
@@ -115,7 +117,7 @@ fn random_u64() -> u64 {
 
 fn node_config(record: &Record, boot: u32) -> NodeConfig {
     let name = record.name.expect("only a complete record gets here");
-    let mut motion = provision::kit::motion_of(record, board::AXES);
+    let mut motion = provision::kit::motion_of(record, board::axes());
     // Without their timers, their commands end at once, as on a node that has none.
     if !cfg!(feature = "timers") {
         motion.cd = None;
@@ -132,15 +134,32 @@ fn node_config(record: &Record, boot: u32) -> NodeConfig {
     }
 }
 
+/// Lets the board have the pins that its record says, all outputs low. Returns whether they can be so; else
+/// nothing is driven: whatever is behind a pin may be something else than this program believes.
+#[inline(never)]
+fn wire(record: &Record, found: Found) -> bool {
+    if found == Found::Damaged {
+        esp_println::println!("the record is damaged: nothing moves, no pin is driven");
+        return false;
+    }
+    if let Err(fault) = provision::wiring::check(&record.wiring, &record.machine, board::CHIP) {
+        esp_println::println!("the pins: {fault}");
+        return false;
+    }
+    board::wire(&record.wiring, &record.machine);
+    outputs::hold_low();
+    true
+}
+
 /// Returns the pin of each input, in the order in which motion has them; `None`: a switch that the
 /// board has no pin for, or a machine that cannot be.
-fn input_pins(config: &MotionConfig) -> Option<Vec<u8, INPUTS_MAX>> {
+fn input_pins(config: &MotionConfig, wiring: &Wiring) -> Option<Vec<u8, INPUTS_MAX>> {
     if let Err(error) = config.check() {
         esp_println::println!("the machine: {error}");
         return None;
     }
     let roles = (0..INPUTS_MAX).map_while(|index| config.inputs.get(index));
-    let pins = roles.map(|input| board::input_pin(input.role));
+    let pins = roles.map(|input| wiring.pin(PinUse::of_role(input.role)?));
     pins.collect()
 }
 
@@ -148,7 +167,7 @@ fn input_pins(config: &MotionConfig) -> Option<Vec<u8, INPUTS_MAX>> {
 #[inline(never)]
 fn machine_pins(record: &Record, boot: u32) -> Option<Vec<u8, INPUTS_MAX>> {
     let complete = record.is_complete();
-    let pins = complete.then(|| input_pins(&node_config(record, boot).motion));
+    let pins = complete.then(|| input_pins(&node_config(record, boot).motion, &record.wiring));
     pins.flatten()
 }
 
@@ -181,7 +200,10 @@ fn made_node(
 fn made_dialogue(flash: CoreFlash) -> &'static mut Dialogue<RecordFlash> {
     let store = Store::new(RecordFlash::new(flash, update::layout::RECORD))
         .expect("the partition has two erase units");
-    keep!(Dialogue<RecordFlash>, Dialogue::blank(store, FIRMWARE))
+    keep!(
+        Dialogue<RecordFlash>,
+        Dialogue::blank(store, FIRMWARE, board::CHIP)
+    )
 }
 
 /// Copies what it has read to where it stays: the dialogue may change its own.
@@ -201,7 +223,9 @@ async fn plan_task(planning: Planning) {
     planning.run().await;
 }
 
-/// Lets the second core serve its interrupts, and nothing else.
+/// Lets the second core serve its interrupts, and wakes its planning task when the refill interrupt has said
+/// so. Timers alone would not do: theirs is an interrupt of the other core, which may have it masked for longer
+/// than what is planned lasts.
 #[cfg(feature = "dual")]
 fn rest() -> ! {
     loop {
@@ -214,6 +238,9 @@ fn rest() -> ! {
         #[cfg(not(target_arch = "xtensa"))]
         unsafe {
             core::arch::asm!("wfi", options(nomem, nostack));
+        }
+        if rmt::WANTED.load(Ordering::Acquire) {
+            plan::WAKE.signal(());
         }
     }
 }
@@ -238,9 +265,10 @@ async fn main(spawner: Spawner) -> ! {
     let mut parts = esp_hal::init(config);
     // The HAL has switched the boot loader's off.
     watchdog::watch_boot(parts.RTC_TIMER.reborrow());
-    outputs::hold_low();
     // Whatever fails behind this has been tried once, and a firmware that was tried before without success
-    // is left before it can fail again. So nothing comes first that a firmware may break.
+    // is left before it can fail again. So nothing comes first that a firmware may break. Until the record
+    // was read, some ms later, all pins float as they do while the boot loader runs: which of them are
+    // outputs, it says.
     let storage = FlashStorage::new(parts.FLASH);
     #[cfg(feature = "dual")]
     let storage = storage.multicore_auto_park();
@@ -254,6 +282,12 @@ async fn main(spawner: Spawner) -> ! {
     {
         software_reset();
     }
+
+    let dialogue = made_dialogue(flash);
+    dialogue.read().expect("the flash we run from is readable");
+    let found = dialogue.found();
+    let record = kept_record(dialogue);
+    let is_wired = wire(record, found);
 
     #[cfg(feature = "esp32s3")]
     esp_alloc::heap_allocator!(#[esp_hal::ram(reclaimed)] size: HEAP_BYTES);
@@ -271,14 +305,11 @@ async fn main(spawner: Spawner) -> ! {
     esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
     spawner.spawn(watchdog::watch(parts.RTC_TIMER).expect("spawned once"));
 
-    let dialogue = made_dialogue(flash);
-    dialogue.read().expect("the flash we run from is readable");
-    let record = kept_record(dialogue);
     if let Some(keeper) = keeper.as_mut() {
         keeper.trust(record.update_key);
     }
     let boot = random_u64() as u32;
-    let pins = machine_pins(record, boot);
+    let pins = is_wired.then(|| machine_pins(record, boot)).flatten();
     // A machine that cannot be is like one that nobody has told: nothing moves.
     let provisioned = pins.is_some();
     spawner.spawn(lamp::show(provisioned).expect("spawned once"));
@@ -342,6 +373,7 @@ async fn main(spawner: Spawner) -> ! {
             watchdog: PlanningWatchdog::begin(planning_timers),
             has_psram: ring.len() > psram::SMALL_RING_COMMANDS * COMMAND_WORDS,
             report,
+            found,
         };
         let executor = keep!(InterruptExecutor<2>, InterruptExecutor::new(plan_interrupt));
         // Below the refill interrupt.

@@ -3,9 +3,7 @@
 #[cfg(feature = "timers")]
 use crate::pwm::PwmChip;
 use crate::{
-    board::{
-        DIRECTION_PINS, ENABLE_PIN, LAMP_PIN, LASER_PIN, STEP_PIN_C, STEP_PIN_D, STEP_PINS, pin,
-    },
+    board::{driven_pins, enable_pins, pin},
     lidar,
     rmt::set_pin,
     shift::ShiftRegister,
@@ -17,12 +15,11 @@ use node::Outputs;
 use periphery::Laser;
 
 /// Drives every output low: drivers and laser off, nothing steps. From reset to here they float; what
-/// must be low then needs a resistor. What takes a pin later takes it as it is.
+/// must be low then needs a resistor. What takes a pin later takes it as it is. The board is wired: nobody
+/// drives a pin that may be something else.
 pub(crate) fn hold_low() {
-    let single = [ENABLE_PIN, LASER_PIN, LAMP_PIN, STEP_PIN_C, STEP_PIN_D];
-    let all = single.iter().chain(&STEP_PINS).chain(&DIRECTION_PINS);
-    for number in all {
-        let output = Output::new(pin(*number), Level::Low, OutputConfig::default());
+    for number in driven_pins() {
+        let output = Output::new(pin(number), Level::Low, OutputConfig::default());
         // It stays an output for as long as nobody makes something else of the pin.
         core::mem::forget(output);
     }
@@ -31,7 +28,6 @@ pub(crate) fn hold_low() {
 /// See the module.
 #[derive(Debug)]
 pub(crate) struct BoardOutputs {
-    _pins: [Output<'static>; 3],
     #[cfg(feature = "timers")]
     laser: Laser,
     shift: Option<ShiftRegister>,
@@ -45,13 +41,11 @@ impl BoardOutputs {
         #[cfg(feature = "timers")] mut pwm: PwmChip,
         shift: Option<ShiftRegister>,
     ) -> Self {
-        let output = |number, level| Output::new(pin(number), level, OutputConfig::default());
+        // They are outputs since `hold_low`.
+        for number in enable_pins() {
+            set_pin(number, true);
+        }
         Self {
-            _pins: [
-                output(ENABLE_PIN, Level::High),
-                output(LASER_PIN, Level::Low),
-                output(LAMP_PIN, Level::Low),
-            ],
             #[cfg(feature = "timers")]
             laser: Laser::new(&mut pwm, 0, 0),
             shift,
@@ -74,7 +68,9 @@ impl Outputs for BoardOutputs {
     /// The HAL of this chip has no pulse widths: on from half power on.
     #[cfg(not(feature = "timers"))]
     fn set_laser(&mut self, power_percent: u8) {
-        set_pin(LASER_PIN, power_percent >= 50);
+        if let Some(number) = crate::board::other_pin(crate::board::Other::Laser) {
+            set_pin(number, power_percent >= 50);
+        }
     }
 
     fn request_lidar(&mut self) {
@@ -82,10 +78,12 @@ impl Outputs for BoardOutputs {
     }
 
     fn set_enable(&mut self, change: OutputChange, _at: Ticks) {
-        // One line for all drivers of the queue, high for on; the enable hardware behind it may still
+        // One level for all drivers of the queue, high for on; the enable hardware behind it may still
         // say no. Those of C and D are behind the shift register.
         if change.output == 0 {
-            set_pin(ENABLE_PIN, change.levels()[1]);
+            for number in enable_pins() {
+                set_pin(number, change.levels()[1]);
+            }
         }
     }
 

@@ -5,9 +5,7 @@
 //! compiler allows: the formatting of the reason is not, and comes last.
 
 use crate::{
-    board::{
-        AXES, DIRECTION_PINS, ENABLE_PIN, LASER_PIN, PLACES, STEP_PIN_C, STEP_PIN_D, STEP_PINS,
-    },
+    board::{LAYOUT, driven_pins},
     rmt::take_pin,
 };
 use core::{
@@ -51,13 +49,11 @@ impl Words for RtcRam {
 }
 
 /// Switches drivers and laser off, and all steps: their pins are taken away from whatever drives them,
-/// so that it does not matter what a timer does.
+/// so that it does not matter what a timer does. Before the board is wired there are none, and nothing is
+/// driven.
 #[ram]
 fn pins_off() {
-    for pin in [LASER_PIN, ENABLE_PIN, STEP_PIN_C, STEP_PIN_D] {
-        take_pin(pin);
-    }
-    for pin in STEP_PINS {
+    for pin in driven_pins() {
         take_pin(pin);
     }
 }
@@ -67,11 +63,10 @@ fn pins_off() {
 fn outputs_off() {
     pins_off();
     let mut chip = crate::rmt::Chip;
-    for place in PLACES {
-        chip.stop(place.channel);
-        chip.update(place.channel);
+    for channel in 0..LAYOUT.transmitters {
+        chip.stop(channel);
+        chip.update(channel);
     }
-    const { assert!(DIRECTION_PINS.len() == AXES) };
 }
 
 /// Stops the other core where it is. It may hold a lock: nothing behind this may want one.

@@ -11,7 +11,6 @@
 //! and the gateway sends it again. A stop has its own word and is never dropped.
 
 use crate::{
-    board::AXES,
     inputs::InputPins,
     lidar,
     outputs::BoardOutputs,
@@ -28,9 +27,10 @@ use heapless::spsc::{Consumer, Producer};
 use keys::{
     AxisId, LocalMicros, NodeTopic, Stop, StopMode, batch::ORDER_BYTES_MAX, status::FaultCode,
 };
-use motion::StepBackend;
+use motion::{StepBackend, limits::CHANNELS};
 use node::{Inbound, Node, Outbound};
 use periphery::blackbox::Report;
+use provision::{Found, store::OLDER};
 
 /// Messages that wait for the node.
 pub(crate) const IN_MAX: usize = 8;
@@ -116,12 +116,14 @@ pub(crate) struct Planning {
     /// What is said once, when it starts.
     pub(crate) has_psram: bool,
     pub(crate) report: Option<Report>,
+    pub(crate) found: Found,
 }
 
 impl Planning {
     /// Runs the node for ever.
     pub(crate) async fn run(mut self) -> ! {
         self.tell_report();
+        self.tell_record();
         self.tell_memory();
         let mut link = 0;
         let mut rssi_dbm = 0;
@@ -216,7 +218,7 @@ impl Planning {
             return;
         }
         let backend = self.node.motion().backend();
-        let counted: [i64; AXES] = core::array::from_fn(|index| {
+        let counted: [i64; CHANNELS] = core::array::from_fn(|index| {
             let axis = AxisId(index as u8);
             backend
                 .counted_steps(axis)
@@ -276,6 +278,14 @@ impl Planning {
         };
         self.node
             .tell(now(), format_args!("queue of {commands} commands {place}"));
+    }
+
+    /// Tells that the record is not the one that was written last.
+    fn tell_record(&mut self) {
+        if self.found == Found::Older {
+            self.node.fault(FaultCode::RECORD, now());
+            self.node.tell(now(), format_args!("{OLDER}"));
+        }
     }
 
     /// Tells what ended the boot before.

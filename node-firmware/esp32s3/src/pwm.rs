@@ -1,7 +1,7 @@
 //! The LEDC's registers. Logic is in [`periphery::pwm`].
 
 use crate::{
-    board::{LASER_PIN, STEP_PIN_D, pin},
+    board::{Other, other_pin, pin},
     rmt::{route_pin, take_pin},
 };
 use esp_hal::{
@@ -15,10 +15,10 @@ use periphery::{PwmRegisters, PwmTimer};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PwmChip;
 
-/// Signal and pin of each channel: laser and D.
-const CHANNELS: [(OutputSignal, u8); 2] = [
-    (OutputSignal::LEDC_LS_SIG0, LASER_PIN),
-    (OutputSignal::LEDC_LS_SIG1, STEP_PIN_D),
+/// Signal and pin of each channel: laser and D. Either may have none.
+const CHANNELS: [(OutputSignal, Other); 2] = [
+    (OutputSignal::LEDC_LS_SIG0, Other::Laser),
+    (OutputSignal::LEDC_LS_SIG1, Other::StepD),
 ];
 
 impl PwmChip {
@@ -40,7 +40,10 @@ impl PwmChip {
 
     /// Makes a channel's pin an output, low, for as long as the program runs.
     pub(crate) fn take(channel: usize) {
-        let (_, number) = CHANNELS[channel];
+        let (_, of) = CHANNELS[channel];
+        let Some(number) = other_pin(of) else {
+            return;
+        };
         let output = Output::new(pin(number), Level::Low, OutputConfig::default());
         core::mem::forget(output);
     }
@@ -85,7 +88,10 @@ impl PwmRegisters for PwmChip {
     }
 
     fn output(&mut self, channel: usize, on: bool) {
-        let (signal, number) = CHANNELS[channel];
+        let (signal, of) = CHANNELS[channel];
+        let Some(number) = other_pin(of) else {
+            return;
+        };
         if !on {
             take_pin(number);
         }

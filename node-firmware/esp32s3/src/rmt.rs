@@ -3,15 +3,18 @@
 //! Logic is in the `rmt` crate; here is one access after the other. Everything that the interrupt
 //! reaches lies in internal RAM: see `pulse.x`.
 
-use crate::board::{
-    AXES, DIRECTION_PINS, PLACES, PREFETCH_WORDS, RMT_DIVIDER, RMT_RAM, STEP_PINS, pin,
-};
+use crate::board::{self, LAYOUT, PREFETCH_WORDS, RMT_DIVIDER, RMT_RAM, pin};
 use core::{
     cell::UnsafeCell,
+    mem::MaybeUninit,
+    ptr::addr_of_mut,
     sync::atomic::{AtomicBool, Ordering},
 };
 use esp_hal::{
-    gpio::{Flex, InputConfig, Level, OutputConfig, OutputSignal},
+    gpio::{
+        Flex, InputConfig, Level, OutputConfig, OutputSignal,
+        interconnect::{InputSignal, OutputSignal as OutputSignalOf},
+    },
     handler,
     interrupt::Priority,
     peripherals::{GPIO, RMT, SYSTIMER},
@@ -20,7 +23,7 @@ use esp_hal::{
     time::Rate,
 };
 use keys::{AxisId, status::FaultCode};
-use motion::{Axis, StepBackend, Ticks};
+use motion::{Axis, StepBackend, Ticks, limits::CHANNELS};
 use rmt::{ChannelConfig, ChannelStatus, Registers, Streamer, StreamerConfig};
 
 #[cfg(feature = "counters")]
@@ -140,28 +143,28 @@ impl Registers for Chip {
     #[inline(always)]
     fn reached(&self) -> u8 {
         let raw = RMT::regs().int_raw().read();
-        PLACES.iter().fold(0, |mask, place| {
-            let reached = raw.ch_tx_thr_event(place.channel as u8).bit_is_set();
-            mask | u8::from(reached) << place.channel
+        (0..LAYOUT.transmitters as u8).fold(0, |mask, channel| {
+            let reached = raw.ch_tx_thr_event(channel).bit_is_set();
+            mask | u8::from(reached) << channel
         })
     }
 
     #[inline(always)]
     fn ended(&self) -> u8 {
         let raw = RMT::regs().int_raw().read();
-        PLACES.iter().fold(0, |mask, place| {
-            let ended = raw.ch_tx_end(place.channel as u8).bit_is_set();
-            mask | u8::from(ended) << place.channel
+        (0..LAYOUT.transmitters as u8).fold(0, |mask, channel| {
+            let ended = raw.ch_tx_end(channel).bit_is_set();
+            mask | u8::from(ended) << channel
         })
     }
 
     #[inline(always)]
     fn clear_events(&mut self, channels: u8, ends: bool) {
         RMT::regs().int_clr().write(|w| {
-            for place in PLACES {
-                let mine = channels & 1 << place.channel != 0;
-                w.ch_tx_thr_event(place.channel as u8).bit(mine);
-                w.ch_tx_end(place.channel as u8).bit(mine && ends);
+            for channel in 0..LAYOUT.transmitters as u8 {
+                let mine = channels & 1 << channel != 0;
+                w.ch_tx_thr_event(channel).bit(mine);
+                w.ch_tx_end(channel).bit(mine && ends);
             }
             w
         });
@@ -170,10 +173,10 @@ impl Registers for Chip {
     #[inline(always)]
     fn enable_interrupts(&mut self, channels: u8) {
         RMT::regs().int_ena().write(|w| {
-            for place in PLACES {
-                let mine = channels & 1 << place.channel != 0;
-                w.ch_tx_thr_event(place.channel as u8).bit(mine);
-                w.ch_tx_end(place.channel as u8).bit(mine);
+            for channel in 0..LAYOUT.transmitters as u8 {
+                let mine = channels & 1 << channel != 0;
+                w.ch_tx_thr_event(channel).bit(mine);
+                w.ch_tx_end(channel).bit(mine);
             }
             w
         });
@@ -189,22 +192,22 @@ impl Registers for Chip {
 
     #[inline(always)]
     fn step_pin(&self, channel: usize) -> bool {
-        let axis = PLACES.iter().position(|place| place.channel == channel);
-        let number = axis.map_or(0, |axis| STEP_PINS[axis]);
-        GPIO::regs().in_().read().bits() & 1 << number != 0
+        board::step_pin_of(channel).is_some_and(reads_high)
     }
 
     #[inline(always)]
     fn set_direction(&mut self, axis: usize, positive: bool) {
-        set_pin(DIRECTION_PINS[axis], positive);
+        if let Some(number) = board::direction_pin(axis) {
+            set_pin(number, positive);
+        }
     }
 
     #[inline(always)]
     fn counter(&self, axis: usize) -> Option<i16> {
         #[cfg(feature = "counters")]
         {
-            let counter = esp_hal::peripherals::PCNT::regs().u_cnt(axis).read();
-            Some(counter.cnt().bits() as i16)
+            let counter = || esp_hal::peripherals::PCNT::regs().u_cnt(axis).read();
+            (axis < board::counted_axes()).then(|| counter().cnt().bits() as i16)
         }
         #[cfg(not(feature = "counters"))]
         {
@@ -217,6 +220,18 @@ impl Registers for Chip {
     fn now(&self) -> u64 {
         now_ticks()
     }
+}
+
+/// Returns the level of a pin that is read.
+#[inline(always)]
+pub(crate) fn reads_high(number: u8) -> bool {
+    let gpio = GPIO::regs();
+    let levels = if number < 32 {
+        gpio.in_().read().bits()
+    } else {
+        gpio.in1().read().bits()
+    };
+    levels & 1 << (number % 32) != 0
 }
 
 /// Sets an output by its own bit, so that no other pin is disturbed.
@@ -258,21 +273,39 @@ pub(crate) fn route_pin(number: u8, signal: OutputSignal) {
 /// The refill interrupt wants planning. It only sets this: waking a task would lead it into flash.
 pub(crate) static WANTED: AtomicBool = AtomicBool::new(false);
 
-struct Shared(UnsafeCell<Streamer<Chip, AXES>>);
+/// The streamer with as many axes as the board was told.
+type BoardStreamer = Streamer<Chip, &'static mut [Axis]>;
+
+struct Shared(UnsafeCell<Option<BoardStreamer>>);
 
 // SAFETY: it is used by one core only, by its interrupt and by its planning task, and never by both
 // at once: every call of `RmtBackend` first holds the interrupt off (`Streamer::hold`), and the
 // interrupt cannot be interrupted by the task.
 unsafe impl Sync for Shared {}
 
-static STREAMER: Shared = Shared(UnsafeCell::new(Streamer::new(
-    Chip,
-    StreamerConfig {
-        places: PLACES,
-        divider: RMT_DIVIDER,
-        prefetch_words: PREFETCH_WORDS,
-    },
-)));
+static STREAMER: Shared = Shared(UnsafeCell::new(None));
+
+/// The axes: segments, encoders, ledgers, some 8 KB each. On the ESP32-S3 they are where half of the data
+/// cache would be (`data-cache-size` in `.cargo/config.toml`): internal RAM like any other, which static data
+/// with a content cannot have.
+#[cfg_attr(feature = "esp32s3", ram(unstable(dcache_reclaimed)))]
+static mut AXES_MEMORY: MaybeUninit<[Axis; board::AXES_MAX]> = MaybeUninit::uninit();
+
+/// Makes so many axes where they stay.
+///
+/// # Safety
+/// It is called once.
+#[inline(never)]
+unsafe fn made_axes(count: usize) -> &'static mut [Axis] {
+    let first = addr_of_mut!(AXES_MEMORY).cast::<Axis>();
+    let count = count.min(board::AXES_MAX);
+    for index in 0..count {
+        // SAFETY: within the array, and nobody has it yet.
+        unsafe { first.add(index).write(Axis::new()) };
+    }
+    // SAFETY: these are made now, and nobody else ever gets them.
+    unsafe { core::slice::from_raw_parts_mut(first, count) }
+}
 
 /// The refill interrupt.
 #[handler(priority = Priority::Priority3)]
@@ -280,6 +313,9 @@ static STREAMER: Shared = Shared(UnsafeCell::new(Streamer::new(
 fn refill() {
     // SAFETY: the interrupt is enabled by `Streamer::resume` only, so the task does not use it.
     let streamer = unsafe { &mut *STREAMER.0.get() };
+    let Some(streamer) = streamer else {
+        return;
+    };
     if streamer.on_interrupt().wake {
         WANTED.store(true, Ordering::Release);
     }
@@ -294,10 +330,11 @@ pub(crate) struct RmtBackend {
 }
 
 impl RmtBackend {
-    /// Sets up clock, pins, RAM and interrupt on the core that calls it, which is the one that plans.
+    /// Sets up clock, pins, RAM and interrupt on the core that calls it, which is the one that plans. The
+    /// board is wired.
     ///
     /// # Panics
-    /// The RMT refuses its settings, which are constants.
+    /// It is called twice; or the RMT refuses its settings, which are those of [`LAYOUT`].
     pub(crate) fn new(
         rmt: RMT<'static>,
         #[cfg(feature = "counters")] counters: &Pcnt<'static>,
@@ -305,57 +342,57 @@ impl RmtBackend {
         let mut rmt = Rmt::new(rmt, Rate::from_mhz(80)).expect("80 MHz is a source of its clock");
         // On this core. Nothing raises it before `Streamer::resume`.
         rmt.set_interrupt_handler(refill);
-        let config = |axis: usize| {
-            TxChannelConfig::default()
-                .with_clk_divider(RMT_DIVIDER)
-                .with_idle_output(true)
-                .with_idle_output_level(Level::Low)
-                .with_memsize(PLACES[axis].blocks as u8)
-        };
-        let split = |number: u8| {
-            let mut flex = Flex::new(pin(number));
-            flex.apply_output_config(&OutputConfig::default());
-            flex.apply_input_config(&InputConfig::default());
-            flex.set_input_enable(true);
-            flex.set_low();
-            flex.set_output_enable(true);
-            flex.split()
-        };
-        let (x_in, x_out) = split(STEP_PINS[0]);
-        let (y_in, y_out) = split(STEP_PINS[1]);
-        let (x_dir, _keep_x) = split(DIRECTION_PINS[0]);
-        let (y_dir, _keep_y) = split(DIRECTION_PINS[1]);
-        let own = "the channel is free: nobody else uses the RMT";
-        let x = rmt.channel0.configure_tx(&config(0)).expect(own);
+        let mut channel0 = Some(rmt.channel0);
+        let mut channel1 = Some(rmt.channel1);
         #[cfg(not(feature = "esp32c6"))]
-        let y = rmt.channel3.configure_tx(&config(1)).expect(own);
-        #[cfg(feature = "esp32c6")]
-        let y = rmt.channel1.configure_tx(&config(1)).expect(own);
+        let (mut channel2, mut channel3) = (Some(rmt.channel2), Some(rmt.channel3));
+        let axes = board::axes();
+        let mut places = [LAYOUT.place(0, axes); CHANNELS];
         // The HAL keeps clock, pins and RAM for as long as these exist.
-        core::mem::forget((x.with_pin(x_out), y.with_pin(y_out)));
-        #[cfg(feature = "counters")]
-        {
-            let unit = &counters.unit0;
-            unit.channel0.set_edge_signal(x_in);
-            unit.channel0.set_ctrl_signal(x_dir);
-            unit.channel0
-                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
-            unit.channel0
-                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
-            unit.clear();
-            unit.resume();
-            let unit = &counters.unit1;
-            unit.channel0.set_edge_signal(y_in);
-            unit.channel0.set_ctrl_signal(y_dir);
-            unit.channel0
-                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
-            unit.channel0
-                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
-            unit.clear();
-            unit.resume();
+        macro_rules! transmit {
+            ($place:ident, $pin:ident, $channel:ident) => {{
+                let config = TxChannelConfig::default()
+                    .with_clk_divider(RMT_DIVIDER)
+                    .with_idle_output(true)
+                    .with_idle_output_level(Level::Low)
+                    .with_memsize($place.blocks as u8);
+                let channel = $channel.take().expect("each axis has another one");
+                let channel = channel.configure_tx(&config);
+                let channel = channel.expect("its blocks belong to no other axis");
+                core::mem::forget(channel.with_pin($pin));
+            }};
         }
-        #[cfg(not(feature = "counters"))]
-        let _ = (x_in, y_in, x_dir, y_dir);
+        for (axis, to) in places.iter_mut().enumerate().take(axes) {
+            let place = LAYOUT.place(axis, axes);
+            *to = place;
+            let told = "a wiring that was checked";
+            let (step_in, step) = split(board::step_pin(axis).expect(told));
+            let (direction_in, direction) = split(board::direction_pin(axis).expect(told));
+            core::mem::forget(direction);
+            match place.channel {
+                0 => transmit!(place, step, channel0),
+                1 => transmit!(place, step, channel1),
+                #[cfg(not(feature = "esp32c6"))]
+                2 => transmit!(place, step, channel2),
+                #[cfg(not(feature = "esp32c6"))]
+                3 => transmit!(place, step, channel3),
+                // There are no more, see `board::LAYOUT`.
+                _ => {}
+            }
+            #[cfg(feature = "counters")]
+            count(counters, axis, step_in, direction_in);
+            #[cfg(not(feature = "counters"))]
+            let _ = (step_in, direction_in);
+        }
+        // SAFETY: there is one RMT, which was given to this call.
+        let axes = unsafe { made_axes(axes) };
+        let config = StreamerConfig {
+            places: &places[..axes.len()],
+            divider: RMT_DIVIDER,
+            prefetch_words: PREFETCH_WORDS,
+        };
+        // SAFETY: the interrupt is off, and there is no handle yet.
+        unsafe { *STREAMER.0.get() = Some(Streamer::new(Chip, config, axes)) };
         let backend = Self {
             #[cfg(feature = "timers")]
             cd: None,
@@ -371,13 +408,14 @@ impl RmtBackend {
     }
 
     /// Gives the streamer with its interrupt held off.
-    fn held(&self) -> &'static mut Streamer<Chip, AXES> {
+    fn held(&self) -> &'static mut BoardStreamer {
         // The interrupt must be off before there is a reference.
         Chip.enable_interrupts(0);
         // SAFETY: there is one handle, it does not leave its core, and the references that it gives
         // do not outlive its methods, but for the axes, whose borrow of `self` keeps it from
         // giving another.
         let streamer = unsafe { &mut *STREAMER.0.get() };
+        let streamer = streamer.as_mut().expect("it is made before the handle");
         streamer.hold();
         streamer
     }
@@ -385,6 +423,49 @@ impl RmtBackend {
     /// The end of the task's turn: lets the interrupt in again.
     pub(crate) fn resume(&mut self) {
         self.held().resume();
+    }
+}
+
+/// Takes a pin of an axis: an output, low, that is read back.
+fn split(number: u8) -> (InputSignal<'static>, OutputSignalOf<'static>) {
+    let mut flex = Flex::new(pin(number));
+    flex.apply_output_config(&OutputConfig::default());
+    flex.apply_input_config(&InputConfig::default());
+    flex.set_input_enable(true);
+    flex.set_low();
+    flex.set_output_enable(true);
+    flex.split()
+}
+
+/// Lets an axis have the pulse counter of its number: steps, and which way by the direction pin.
+#[cfg(feature = "counters")]
+fn count(
+    counters: &Pcnt<'static>,
+    axis: usize,
+    step: InputSignal<'static>,
+    direction: InputSignal<'static>,
+) {
+    if axis >= board::counted_axes() {
+        return;
+    }
+    macro_rules! count {
+        ($unit:ident) => {{
+            let unit = &counters.$unit;
+            unit.channel0.set_edge_signal(step);
+            unit.channel0.set_ctrl_signal(direction);
+            unit.channel0
+                .set_input_mode(EdgeMode::Hold, EdgeMode::Increment);
+            unit.channel0
+                .set_ctrl_mode(CtrlMode::Reverse, CtrlMode::Keep);
+            unit.clear();
+            unit.resume();
+        }};
+    }
+    match axis {
+        0 => count!(unit0),
+        1 => count!(unit1),
+        2 => count!(unit2),
+        _ => count!(unit3),
     }
 }
 

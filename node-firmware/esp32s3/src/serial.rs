@@ -9,7 +9,7 @@ use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_io_async::{Read, Write};
 use esp_hal::{Async, system::software_reset, usb::usb_serial_jtag::UsbSerialJtag};
-use provision::{Dialogue, dialogue::PROMPT, frame::FRAME_BYTES_MAX};
+use provision::{Dialogue, frame::FRAME_BYTES_MAX};
 use update::Region;
 
 /// The region of the flash that the record lies in.
@@ -28,7 +28,7 @@ pub(crate) async fn keep_trial(keeper: &mut Option<BoardKeeper>) -> ! {
     }
 }
 
-/// Talks for ever. `prompts`: nobody has told this node anything yet.
+/// Talks for ever. `prompts`: nothing moves, because of the record.
 pub(crate) async fn run(
     mut port: UsbSerialJtag<'static, Async>,
     dialogue: &'static mut Dialogue<RecordFlash>,
@@ -45,7 +45,7 @@ pub(crate) async fn run(
                 if prompts {
                     // Nobody listens: then nobody misses it.
                     let limit = Timer::after(Duration::from_millis(100));
-                    select(port.write_all(PROMPT.as_bytes()), limit).await;
+                    select(port.write_all(dialogue.prompt().as_bytes()), limit).await;
                 }
                 continue;
             }

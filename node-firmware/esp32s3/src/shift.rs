@@ -1,7 +1,7 @@
 //! The lines of the shift register.
 
 use crate::{
-    board::{SHIFT_PINS, pin},
+    board::{Other, other_pin, pin},
     rmt::set_pin,
 };
 use esp_hal::gpio::{Input, InputConfig, Level, Output, OutputConfig, Pull};
@@ -11,18 +11,30 @@ use periphery::{ShiftLines, shift};
 #[derive(Debug)]
 pub(crate) struct ShiftRegister {
     back: Input<'static>,
+    lines: [u8; 3],
     _outputs: [Output<'static>; 3],
 }
 
 impl ShiftRegister {
     /// Takes the lines; the outputs keep what they show.
+    ///
+    /// # Panics
+    /// The board has no such lines.
     pub(crate) fn new() -> Self {
-        let [data, clock, latch, back] = SHIFT_PINS;
+        let lines = [
+            Other::ShiftData,
+            Other::ShiftClock,
+            Other::ShiftLatch,
+            Other::ShiftBack,
+        ];
+        let lines = lines.map(|of| other_pin(of).expect("a wiring that was checked"));
+        let [data, clock, latch, back] = lines;
         let output = |number, level| Output::new(pin(number), level, OutputConfig::default());
         // Without a register it reads low, which no word with a bit set is confirmed by.
         let config = InputConfig::default().with_pull(Pull::Down);
         let mut register = Self {
             back: Input::new(pin(back), config),
+            lines: [data, clock, latch],
             _outputs: [
                 output(data, Level::Low),
                 output(clock, Level::Low),
@@ -41,15 +53,15 @@ impl ShiftRegister {
 
 impl ShiftLines for ShiftRegister {
     fn set_data(&mut self, high: bool) {
-        set_pin(SHIFT_PINS[0], high);
+        set_pin(self.lines[0], high);
     }
 
     fn set_clock(&mut self, high: bool) {
-        set_pin(SHIFT_PINS[1], high);
+        set_pin(self.lines[1], high);
     }
 
     fn set_latch(&mut self, high: bool) {
-        set_pin(SHIFT_PINS[2], high);
+        set_pin(self.lines[2], high);
     }
 
     fn back(&self) -> bool {

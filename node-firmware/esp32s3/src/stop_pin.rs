@@ -4,7 +4,7 @@
 //! `node-firmware/README.md`): that works with the processor hung. This input only lets the node
 //! know, so that its position stays exact and it says why it stopped.
 
-use crate::board::{STOP_PIN, pin};
+use crate::board::{Other, other_pin, pin};
 use esp_hal::gpio::{Input, InputConfig, Pull};
 
 /// Looks that must agree before the contact counts as closed again; opening counts at once.
@@ -20,10 +20,14 @@ pub(crate) struct StopPin {
 
 impl StopPin {
     /// Takes the pin.
+    ///
+    /// # Panics
+    /// The board has none, which no record can say.
     pub(crate) fn new() -> Self {
+        let number = other_pin(Other::Stop).expect("a wiring that was checked");
         let config = InputConfig::default().with_pull(Pull::Up);
-        let input = Input::new(pin(STOP_PIN), config);
-        crate::inputs::filter(STOP_PIN);
+        let input = Input::new(pin(number), config);
+        crate::inputs::filter(number);
         Self {
             input,
             active: false,

@@ -4,13 +4,15 @@
 //! way leaves the node as it was.
 
 use crate::{
+    chip::Chip,
     frame::{self, FRAME_BYTES_MAX, FrameReader},
     machine::Machine,
     record::{
         AxisSettings, NETWORKS_MAX, Record, SIGNERS_MAX, SSID_BYTES_MAX, Setting, SettingError,
     },
-    store::{Store, StoreError},
+    store::{Found, Store, StoreError},
     tuning::Tuning,
+    wiring::{self, PinFault, Wiring},
 };
 use embedded_storage::nor_flash::NorFlash;
 use heapless::{String, Vec};
@@ -40,6 +42,8 @@ pub enum Request {
     ShowTuning,
     /// What do the drivers demand?
     ShowAxes,
+    /// Which pins were told?
+    ShowPins,
 }
 
 /// What the node answers. Appended to, never changed.
@@ -69,6 +73,8 @@ pub enum Reply {
     Tuning(Tuning),
     /// The answer to [`Request::ShowAxes`], by axis.
     Axes(Vec<AxisSettings, AXES_MAX>),
+    /// The answer to [`Request::ShowPins`].
+    Pins(Wiring),
 }
 
 /// A record without its secrets. Fields are only appended: one that an older firmware does not tell
@@ -99,6 +105,10 @@ pub struct Shown {
     pub has_authority: bool,
     /// It was told of drivers: see [`Request::ShowAxes`].
     pub has_drivers: bool,
+    /// It was told of axes or pins: see [`Request::ShowPins`].
+    pub has_wiring: bool,
+    /// What the boot found of the record.
+    pub found: Found,
 }
 
 /// How much of an operator's key is shown.
@@ -117,6 +127,8 @@ pub enum Refused {
     Incomplete,
     /// A router by TLS without an authority, or an authority without a router by TLS.
     Authority,
+    /// The board cannot be wired like this.
+    Pins(PinFault),
 }
 
 impl From<StoreError> for Refused {
@@ -129,11 +141,17 @@ impl From<StoreError> for Refused {
 pub const PROMPT: &str = "stepfleet node, not provisioned: \
     fleet provision PORT --name NAME --wifi SSID --router tcp/HOST:7447\r\n";
 
+/// The same of a node whose record is damaged.
+pub const PROMPT_DAMAGED: &str = "stepfleet node, its record is damaged, so it does nothing: \
+    tell it everything again by fleet provision PORT\r\n";
+
 /// See the module.
 #[derive(Debug)]
 pub struct Dialogue<F> {
     store: Store<F>,
     firmware: [u8; 3],
+    chip: Chip,
+    found: Found,
     kept: Record,
     collected: Option<Record>,
     reader: FrameReader,
@@ -141,21 +159,23 @@ pub struct Dialogue<F> {
 }
 
 impl<F: NorFlash> Dialogue<F> {
-    /// Reads what is kept.
+    /// Reads what is kept, of a board with the product's chip.
     ///
     /// # Errors
     /// The flash cannot be read.
     pub fn new(store: Store<F>, firmware: [u8; 3]) -> Result<Self, StoreError> {
-        let mut dialogue = Self::blank(store, firmware);
+        let mut dialogue = Self::blank(store, firmware, Chip::Esp32S3);
         dialogue.read()?;
         Ok(dialogue)
     }
 
     /// Makes one that has not [read](Self::read) what is kept.
-    pub fn blank(store: Store<F>, firmware: [u8; 3]) -> Self {
+    pub fn blank(store: Store<F>, firmware: [u8; 3], chip: Chip) -> Self {
         Self {
             store,
             firmware,
+            chip,
+            found: Found::Nothing,
             kept: Record::default(),
             collected: None,
             reader: FrameReader::new(),
@@ -168,7 +188,26 @@ impl<F: NorFlash> Dialogue<F> {
     /// # Errors
     /// The flash cannot be read.
     pub fn read(&mut self) -> Result<(), StoreError> {
-        self.store.read_into(&mut self.kept).map(|_| ())
+        self.found = self.store.read_into(&mut self.kept)?;
+        if self.found == Found::Whole {
+            // As it should be since it was written; a cut may have come in between. Else it is tried again
+            // at the next boot.
+            let _ = self.store.confirm(&self.kept);
+        }
+        Ok(())
+    }
+
+    /// Returns what the last reading found.
+    pub fn found(&self) -> Found {
+        self.found
+    }
+
+    /// Returns what is said on the line of a node that nothing moves on, for whoever looks.
+    pub fn prompt(&self) -> &'static str {
+        match self.found {
+            Found::Damaged => PROMPT_DAMAGED,
+            Found::Nothing | Found::Whole | Found::Older => PROMPT,
+        }
     }
 
     /// Returns what is kept.
@@ -222,9 +261,10 @@ impl<F: NorFlash> Dialogue<F> {
                 self.collected = None;
                 Reply::Done
             }
-            Request::Show => Reply::Record(shown(&self.kept)),
+            Request::Show => Reply::Record(shown(&self.kept, self.found)),
             Request::ShowTuning => Reply::Tuning(self.kept.tuning.clone()),
             Request::ShowAxes => Reply::Axes(self.kept.axes.clone()),
+            Request::ShowPins => Reply::Pins(self.kept.wiring.clone()),
             Request::Restart => {
                 self.restart = may_write;
                 if may_write {
@@ -247,15 +287,17 @@ impl<F: NorFlash> Dialogue<F> {
         if !collected.is_complete() {
             return Err(Refused::Incomplete);
         }
+        wiring::check(&collected.wiring, &collected.machine, self.chip).map_err(Refused::Pins)?;
         let sequence = self.store.write(collected)?;
         if let Some(collected) = self.collected.take() {
             self.kept = collected;
         }
+        self.found = Found::Whole;
         Ok(sequence)
     }
 }
 
-fn shown(record: &Record) -> Shown {
+fn shown(record: &Record, found: Found) -> Shown {
     Shown {
         name: record.name,
         networks: record
@@ -277,5 +319,7 @@ fn shown(record: &Record) -> Shown {
         has_tuning: record.tuning != Tuning::default(),
         has_authority: record.authority.is_some(),
         has_drivers: !record.axes.is_empty(),
+        has_wiring: record.wiring != Wiring::default(),
+        found,
     }
 }

@@ -38,6 +38,7 @@ impl fmt::Display for HostError {
             Self::Refused(Refused::Authority) => f.write_str(
                 "a router by tls/ needs an authority to trust (--ca), and an authority a router by tls/",
             ),
+            Self::Refused(Refused::Pins(fault)) => write!(f, "{fault}"),
             Self::Answer => f.write_str("the node answers something else"),
         }
     }

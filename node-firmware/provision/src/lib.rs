@@ -13,6 +13,7 @@
 //! Secrets go in and never come out: a reply says which are set, not what they are.
 #![no_std]
 
+pub mod chip;
 pub mod dialogue;
 pub mod driver;
 pub mod frame;
@@ -20,12 +21,16 @@ pub mod host;
 pub mod kit;
 pub mod machine;
 pub mod record;
+pub mod stations;
 pub mod store;
 pub mod tuning;
+pub mod wiring;
 
+pub use chip::Chip;
 pub use dialogue::{Dialogue, Refused, Reply, Request};
 pub use host::{Host, HostError};
 pub use machine::Machine;
 pub use record::{Record, Setting};
-pub use store::{Store, StoreError};
+pub use store::{Found, Store, StoreError};
 pub use tuning::Tuning;
+pub use wiring::{PinFault, PinUse, Wiring};

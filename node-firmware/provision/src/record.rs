@@ -6,10 +6,11 @@
 use crate::{
     machine::{Machine, SwitchSettings},
     tuning::{FilterSettings, HomingSettings, PlacesC, ReachSettings, Tuning, WayD},
+    wiring::{PinSetting, PinUse, Wiring},
 };
 use heapless::{String, Vec};
 use keys::{AXES_MAX, NodeId};
-use motion::AxisProfile;
+use motion::{AxisProfile, limits::CHANNELS};
 use serde::{Deserialize, Serialize};
 
 /// Networks that a node knows.
@@ -165,6 +166,8 @@ pub struct Record {
     /// Who must have signed the router's certificate; with one the node speaks TLS only, without one
     /// it does not.
     pub authority: Option<Authority>,
+    /// How many axes, and which pins.
+    pub wiring: Wiring,
 }
 
 /// One change of a record. Appended to, never changed.
@@ -223,6 +226,12 @@ pub enum Setting {
     NoTuning,
     /// Who must have signed the router's certificate; `None`: no TLS.
     Authority(Option<Authority>),
+    /// How many axes; 0: as by default.
+    Axes(u8),
+    /// Another pin than the kit's.
+    Pin(PinSetting),
+    /// Forgets all pins: the kit's.
+    NoPins,
 }
 
 /// A setting does not fit.
@@ -258,6 +267,10 @@ pub enum SettingError {
     Authority,
     /// A time of the driver is longer than motion plays, or none.
     Driver,
+    /// More axes than any chip drives.
+    Axes,
+    /// There can be no such pin, or too many are told.
+    Pin,
 }
 
 impl core::fmt::Display for SettingError {
@@ -289,6 +302,8 @@ impl core::fmt::Display for SettingError {
                 "Driver: a step's parts are 1 to 2000000 ns, setup and hold 1 to 200000 ns, and a \
                  stop slows down by at least 1 step/s²"
             }
+            Self::Axes => "Axes: there are 1 to 4",
+            Self::Pin => "Pin: there can be no such pin, or too many are told",
         })
     }
 }
@@ -392,6 +407,16 @@ impl Record {
                 }
                 self.authority = authority;
             }
+            Setting::Axes(count) => {
+                demand(usize::from(count) <= CHANNELS, SettingError::Axes)?;
+                self.wiring.axis_count = count;
+            }
+            Setting::Pin(pin) => {
+                // Whoever has no button still has a wire: a node that nothing stops is none.
+                let is_needed = pin.of == PinUse::Stop && pin.gpio.is_none();
+                demand(!is_needed && self.wiring.set(pin), SettingError::Pin)?;
+            }
+            Setting::NoPins => self.wiring.pins.clear(),
         }
         Ok(())
     }
@@ -615,8 +640,21 @@ mod tests {
         while authority.subject.push(0xff).is_ok() {}
         while authority.key.push(0xff).is_ok() {}
         record.authority = Some(authority);
-        let mut buffer = [0; RECORD_BYTES_MAX];
-        assert!(postcard::to_slice(&record, &mut buffer).is_ok());
+        record.wiring.axis_count = u8::MAX;
+        let pin = PinSetting {
+            of: PinUse::Switch {
+                of: SwitchOf::C,
+                end: End::Max,
+            },
+            gpio: Some(0xff),
+        };
+        while record.wiring.pins.push(pin).is_ok() {}
+        crate::frame::write(&crate::Reply::Pins(record.wiring.clone()), &mut answer);
+        let mut buffer = [0; 2 * RECORD_BYTES_MAX];
+        let used = postcard::to_slice(&record, &mut buffer)
+            .expect("room")
+            .len();
+        assert!(used <= RECORD_BYTES_MAX, "{used}");
     }
 
     trait Repeat {

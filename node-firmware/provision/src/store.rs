@@ -2,17 +2,31 @@
 //!
 //! ```text
 //!   copy (one erase unit)                     two of them; the valid one with the higher
-//!   ┌───────┬─────────┬───────┬──────────┬─────┬─────────┐    sequence counts
-//!   │ magic │ version │ bytes │ sequence │ crc │ record… │    little endian
-//!   │  u32  │   u16   │  u16  │   u32    │ u32 │         │
-//!   └───────┴─────────┴───────┴──────────┴─────┴─────────┘
+//!   ┌───────┬─────────┬───────┬──────────┬─────┬─────────┬─────┬───────┬────────┐    sequence counts
+//!   │ magic │ version │ bytes │ sequence │ crc │ record… │ ––– │ own   │ next   │    little endian
+//!   │  u32  │   u16   │  u16  │   u32    │ u32 │         │     │ mark  │ mark   │
+//!   └───────┴─────────┴───────┴──────────┴─────┴─────────┴─────┴───────┴────────┘
+//!   mark, in the last 32 bytes of the unit: │ magic u32 │ sequence u32 │ identity u32 │ crc u32 │
 //! ```
 //!
 //! Writing erases the copy that does not count and fills it, header last: until then the other one
-//! is what is read. The checksum covers header and record.
+//! is what is read. The checksum covers header and record. When the new copy was read back, it is marked as
+//! finished: behind itself, and behind the copy that it replaces.
+//!
+//! So a copy that is not whole is one of two things. Without a mark it was never finished: the power was cut,
+//! and the one before counts as if nothing had been begun. With a mark it has decayed, and what is in the one
+//! before may be out of date: a password, an authority or a signer that was withdrawn, pins of another machine.
+//! That one counts only if its *identity* is that of the mark, a checksum of everything but drivers, switches
+//! and tuning; and then it is a fault ([`Found::Older`]). Else there is no record ([`Found::Damaged`]).
+//!
+//! Firmware that knew no marks wrote the same copies and ignores what is behind them.
+
+mod mark;
 
 use crate::record::{RECORD_BYTES_MAX, Record};
 use embedded_storage::nor_flash::NorFlash;
+use mark::{MARK_BYTES, Mark, identity, mark_bytes, mark_of};
+use serde::{Deserialize, Serialize};
 
 const MAGIC: u32 = 0x464c_5443;
 /// Layout of the header. The record's own fields are appended to without a new version.
@@ -22,6 +36,30 @@ const HEADER_BYTES: usize = 16;
 const COPY_BYTES: usize = (HEADER_BYTES + RECORD_BYTES_MAX).next_multiple_of(16);
 /// A copy with zeros behind it, enough for the fields that an older one lacks.
 const PADDED_BYTES: usize = COPY_BYTES + 32;
+
+/// From the end of a unit: of the copy itself, and of the one that replaced it.
+const MARKS: [usize; 2] = [2 * MARK_BYTES, MARK_BYTES];
+const OWN: usize = 0;
+const NEXT: usize = 1;
+
+/// What a reading found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Found {
+    /// No record, and there never was one that was finished.
+    #[default]
+    Nothing,
+    /// The newest record.
+    Whole,
+    /// The newest record is damaged. The one before counts: it differs in drivers, switches and tuning at
+    /// most.
+    Older,
+    /// The newest record is damaged, and nothing can stand in for it.
+    Damaged,
+}
+
+/// What the log says of [`Found::Older`].
+pub const OLDER: &str = "the newest record in flash is damaged: drivers, switches and tuning are those of \
+    the one before; look at them, tell them again (fleet provision), and release";
 
 /// Why a record was not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,12 +81,19 @@ impl core::fmt::Display for StoreError {
 
 impl core::error::Error for StoreError {}
 
+/// Where the next record goes.
+#[derive(Clone, Copy, Debug)]
+struct Next {
+    copy: u32,
+    sequence: u32,
+}
+
 /// A region of flash that keeps a record.
 #[derive(Debug)]
 pub struct Store<F> {
     flash: F,
-    /// Copy that counts, and its sequence number.
-    current: Option<(u32, u32)>,
+    /// Known once the region was read.
+    next: Option<Next>,
 }
 
 impl<F: NorFlash> Store<F> {
@@ -58,15 +103,12 @@ impl<F: NorFlash> Store<F> {
     /// It is too small.
     pub fn new(flash: F) -> Result<Self, StoreError> {
         if flash.capacity() < 2 * F::ERASE_SIZE
-            || F::ERASE_SIZE < COPY_BYTES
+            || F::ERASE_SIZE < COPY_BYTES + MARKS[OWN]
             || !16_usize.is_multiple_of(F::WRITE_SIZE)
         {
             return Err(StoreError::Region);
         }
-        Ok(Self {
-            flash,
-            current: None,
-        })
+        Ok(Self { flash, next: None })
     }
 
     /// Gives the region back.
@@ -74,32 +116,64 @@ impl<F: NorFlash> Store<F> {
         self.flash
     }
 
-    /// Returns the record, `None` if there is none that is whole.
+    /// Returns the record, `None` if there is none that counts.
     ///
     /// # Errors
     /// The flash cannot be read.
     pub fn read(&mut self) -> Result<Option<Record>, StoreError> {
         let mut record = Record::default();
-        Ok(self.read_into(&mut record)?.then_some(record))
+        let found = self.read_into(&mut record)?;
+        Ok(matches!(found, Found::Whole | Found::Older).then_some(record))
     }
 
-    /// Reads the record to where it stays: it is too large to be handed on along a short stack. Returns
-    /// whether there is one that is whole; else nothing is written.
+    /// Reads the record to where it stays: it is too large to be handed on along a short stack. Without one
+    /// that counts it becomes the empty one.
     ///
     /// # Errors
     /// The flash cannot be read.
-    pub fn read_into(&mut self, record: &mut Record) -> Result<bool, StoreError> {
+    pub fn read_into(&mut self, record: &mut Record) -> Result<Found, StoreError> {
+        let marked = self.newest_mark()?;
         let mut copies = [self.sequence_of(0)?, self.sequence_of(1)?];
         // At most two: one that is whole and means nothing is as if it were not there.
         while let Some((copy, sequence)) = newest(copies) {
-            if self.record_of(copy, record)? {
-                self.current = Some((copy, sequence));
-                return Ok(true);
+            if !self.record_of(copy, record)? {
+                copies[copy as usize] = None;
+                continue;
             }
-            copies[copy as usize] = None;
+            let decayed = marked.filter(|mark| is_newer(mark.sequence, sequence));
+            let last = decayed.map_or(sequence, |mark| mark.sequence);
+            self.next = Some(Next {
+                copy: 1 - copy,
+                sequence: last.wrapping_add(1),
+            });
+            return Ok(match decayed {
+                None => Found::Whole,
+                Some(mark) if mark.identity == identity(record) => Found::Older,
+                Some(_) => {
+                    clear(record);
+                    Found::Damaged
+                }
+            });
         }
-        self.current = None;
-        Ok(false)
+        clear(record);
+        self.next = Some(Next {
+            copy: 0,
+            sequence: marked.map_or(1, |mark| mark.sequence.wrapping_add(1)),
+        });
+        Ok(marked.map_or(Found::Nothing, |_| Found::Damaged))
+    }
+
+    /// Marks the record that the last reading found as finished, if it is not: by firmware that knew no
+    /// marks, or because the power was cut.
+    ///
+    /// # Errors
+    /// The flash does not take the marks.
+    pub fn confirm(&mut self, record: &Record) -> Result<(), StoreError> {
+        let Some(next) = self.next else {
+            return Ok(());
+        };
+        let sequence = next.sequence.wrapping_sub(1);
+        self.mark(1 - next.copy, sequence, record)
     }
 
     /// Returns the sequence number of a copy that is whole.
@@ -133,18 +207,58 @@ impl<F: NorFlash> Store<F> {
             .map_err(|_| StoreError::Flash)
     }
 
+    fn mark_at(copy: u32, which: usize) -> u32 {
+        (copy + 1) * F::ERASE_SIZE as u32 - MARKS[which] as u32
+    }
+
+    /// Returns what was finished last, whether it can still be read or not.
+    fn newest_mark(&mut self) -> Result<Option<Mark>, StoreError> {
+        let mut newest = None;
+        for (copy, which) in [(0, OWN), (0, NEXT), (1, OWN), (1, NEXT)] {
+            let mut bytes = [0; MARK_BYTES];
+            self.flash
+                .read(Self::mark_at(copy, which), &mut bytes)
+                .map_err(|_| StoreError::Flash)?;
+            let read = mark_of(&bytes);
+            newest = match (newest, read) {
+                (Some(Mark { sequence, .. }), Some(read)) if is_newer(sequence, read.sequence) => {
+                    newest
+                }
+                (_, Some(_)) => read,
+                (_, None) => newest,
+            };
+        }
+        Ok(newest)
+    }
+
+    /// Marks a copy as finished, behind itself and behind the other one. What is marked already is left
+    /// alone; a mark that was cut off is completed, as its bytes are the same.
+    #[inline(never)]
+    fn mark(&mut self, copy: u32, sequence: u32, record: &Record) -> Result<(), StoreError> {
+        let identity = identity(record);
+        let bytes = mark_bytes(Mark { sequence, identity });
+        for (copy, which) in [(copy, OWN), (1 - copy, NEXT)] {
+            let at = Self::mark_at(copy, which);
+            let mut there = [0; MARK_BYTES];
+            let flash = |_| StoreError::Flash;
+            self.flash.read(at, &mut there).map_err(flash)?;
+            if there != bytes {
+                self.flash.write(at, &bytes).map_err(flash)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Keeps a record instead of the one before. Returns its sequence number.
     ///
     /// # Errors
     /// The flash did not take it; the one before still counts.
     pub fn write(&mut self, record: &Record) -> Result<u32, StoreError> {
-        if self.current.is_none() {
+        if self.next.is_none() {
             self.read()?;
         }
-        let (copy, sequence) = match self.current {
-            Some((copy, sequence)) => (1 - copy, sequence.wrapping_add(1)),
-            None => (0, 1),
-        };
+        let next = self.next.expect("a reading says where the next one goes");
+        let Next { copy, sequence } = next;
         let mut bytes = [0xff; COPY_BYTES];
         let used = postcard::to_slice(record, &mut bytes[HEADER_BYTES..])
             .expect("RECORD_BYTES_MAX holds every record")
@@ -168,9 +282,20 @@ impl<F: NorFlash> Store<F> {
         if written[..end] != bytes[..end] {
             return Err(StoreError::Flash);
         }
-        self.current = Some((copy, sequence));
+        self.next = Some(Next {
+            copy: 1 - copy,
+            sequence: sequence.wrapping_add(1),
+        });
+        // It counts already. Without a mark it is marked at the next boot.
+        let _ = self.mark(copy, sequence, record);
         Ok(sequence)
     }
+}
+
+/// Makes a record the empty one. Apart from the rest, for the sake of the stack.
+#[inline(never)]
+fn clear(record: &mut Record) {
+    *record = Record::default();
 }
 
 /// Sequence numbers may wrap.
@@ -271,7 +396,7 @@ mod tests {
         let mut buffer = [0; RECORD_BYTES_MAX];
         let bytes = postcard::to_slice(&record, &mut buffer).expect("room");
         let (older, newer) = bytes.split_at(OLDER.len());
-        assert_eq!((older, newer), (OLDER, &[0; 11][..]));
+        assert_eq!((older, newer), (OLDER, &[0; 13][..]));
     }
 
     #[test]

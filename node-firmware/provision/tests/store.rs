@@ -5,9 +5,12 @@ mod flash;
 use flash::Flash;
 use keys::NodeId;
 use provision::{
-    Dialogue, Host, HostError, Record, Refused, Reply, Request, Setting, Store,
+    Dialogue, Found, Host, HostError, PinFault, PinUse, Record, Refused, Reply, Request, Setting,
+    Store,
+    chip::PinWhy,
     frame::{FRAME_BYTES_MAX, FrameReader},
-    record::{Login, Network},
+    record::{Authority, Login, Network},
+    wiring::PinSetting,
 };
 
 fn text<const N: usize>(text: &str) -> heapless::String<N> {
@@ -44,6 +47,8 @@ fn a_power_cut_at_every_byte_leaves_the_old_record_or_the_new_one() {
         let cost = whole.used - before.used;
         let old = read(before.clone());
         let mut seen_old = 0;
+        // Behind the header it counts; the two marks behind that say so once more.
+        let counts_at = cost - 32;
         for power in 0..=cost {
             let mut flash = before.clone();
             flash.power = power;
@@ -53,30 +58,231 @@ fn a_power_cut_at_every_byte_leaves_the_old_record_or_the_new_one() {
             flash.power = usize::MAX;
             let found = read(flash.clone());
             assert!(found == old || found == Some(record(name)), "{power}");
-            assert_eq!(result.is_ok(), power == cost);
+            assert_eq!(result.is_ok(), power >= counts_at);
+            // A cut is no decay, and what the cut has left open is made good at the next boot.
+            let (was, again) = boot(flash.clone());
+            let expected = if found.is_some() {
+                Found::Whole
+            } else {
+                Found::Nothing
+            };
+            assert_eq!(was, expected, "{power}");
+            if found.is_some() {
+                assert_eq!(marks(&again).len(), 2, "{power}");
+            }
+            assert_eq!(read(again), found, "{power}");
             seen_old += usize::from(found == old);
             // And the next write works.
             let mut store = Store::new(flash).expect("room");
             store.write(&record("after")).expect("has power");
             assert_eq!(read(store.into_flash()), Some(record("after")));
         }
-        assert!(seen_old >= cost, "the header is the last that is written");
+        assert!(
+            seen_old >= counts_at,
+            "the header is the last that is written"
+        );
         before = whole;
     }
 }
 
-#[test]
-fn any_flipped_bit_is_noticed_and_the_other_copy_counts() {
+/// Reads as a boot does: what was found, and the flash behind it.
+fn boot(flash: Flash) -> (Found, Flash) {
+    let store = Store::new(flash).expect("room");
+    let dialogue = Dialogue::new(store, [0, 1, 0]).expect("readable");
+    let found = dialogue.found();
+    assert_eq!(
+        dialogue.record() == &Record::default(),
+        matches!(found, Found::Nothing | Found::Damaged),
+        "what does not count is not there"
+    );
+    (found, dialogue.into_store().into_flash())
+}
+
+/// The marks of finished copies that the flash has of the newest one.
+fn marks(flash: &Flash) -> Vec<&[u8]> {
+    let all = [4064, 4080, 8160, 8176].map(|at| &flash.bytes[at..at + 16]);
+    let number = |mark: &[u8]| u32::from_le_bytes([mark[4], mark[5], mark[6], mark[7]]);
+    let written = all
+        .into_iter()
+        .filter(|mark| mark.iter().any(|byte| *byte != 0xff));
+    let newest = written.clone().map(number).max();
+    written
+        .filter(|mark| Some(number(mark)) == newest)
+        .collect()
+}
+
+/// A flash with two copies of these records, the second one newer.
+fn two(first: &Record, second: &Record) -> Flash {
     let mut store = Store::new(Flash::new(2)).expect("room");
-    store.write(&record("one")).expect("has power");
-    store.write(&record("two")).expect("has power");
-    let flash = store.into_flash();
-    let bytes = flash.bytes[4096..].iter().rposition(|byte| *byte != 0xff);
-    for at in 0..bytes.expect("something is written") {
-        let mut flash = flash.clone();
-        flash.bytes[4096 + at] ^= 0x10;
-        assert_eq!(read(flash), Some(record("one")), "{at}");
+    store.write(first).expect("has power");
+    store.write(second).expect("has power");
+    store.into_flash()
+}
+
+/// The bytes that a copy has before its marks.
+fn used(flash: &Flash, copy: usize) -> std::ops::Range<usize> {
+    let from = copy * 4096;
+    let last = flash.bytes[from..from + 4064]
+        .iter()
+        .rposition(|byte| *byte != 0xff);
+    from..from + last.expect("something is written")
+}
+
+#[test]
+fn any_flipped_bit_is_noticed_and_the_other_copy_counts_if_it_is_of_the_same_node() {
+    let mut tuned = record("one");
+    tuned.apply(Setting::HasLidar(true)).expect("fits");
+    let mut guarded = record("one");
+    guarded.apply(Setting::Signer([7; 32])).expect("fits");
+    let mut moved = record("one");
+    let pin = PinSetting {
+        of: PinUse::Lamp,
+        gpio: None,
+    };
+    moved.apply(Setting::Pin(pin)).expect("fits");
+    for (newer, found) in [
+        (tuned, Found::Older),
+        (record("two"), Found::Damaged),
+        (guarded, Found::Damaged),
+        (moved, Found::Damaged),
+    ] {
+        let flash = two(&record("one"), &newer);
+        for at in used(&flash, 1) {
+            let mut flash = flash.clone();
+            flash.bytes[at] ^= 0x10;
+            assert_eq!(boot(flash.clone()).0, found, "{at}");
+            let stands_in = (found == Found::Older).then(|| record("one"));
+            assert_eq!(read(flash), stands_in, "{at}");
+        }
     }
+}
+
+#[test]
+fn a_copy_without_authority_or_signers_never_stands_in_for_one_that_may_have_had_them() {
+    let mut open = record("one");
+    let mut guarded = record("one");
+    guarded
+        .apply(Setting::Router(text("tls/10.0.0.1:7447")))
+        .expect("fits");
+    guarded
+        .apply(Setting::Authority(Some(Authority {
+            subject: heapless::Vec::from_slice(b"s").expect("short"),
+            key: heapless::Vec::from_slice(b"k").expect("short"),
+        })))
+        .expect("fits");
+    let mut signed = record("one");
+    signed.apply(Setting::Signer([7; 32])).expect("fits");
+    let mut rekeyed = record("one");
+    rekeyed
+        .apply(Setting::UpdateKey(Some([7; 32])))
+        .expect("fits");
+    let mut password = record("one");
+    let login = Login {
+        user: text("left"),
+        password: text("new"),
+    };
+    password.apply(Setting::Login(Some(login))).expect("fits");
+    for newer in [guarded, signed, rekeyed, password] {
+        let flash = two(&open, &newer);
+        // Whatever is left of the newer copy: one mark is enough to know that it was there.
+        for wiped in [4096..8192, 4096..8160, 4100..4101] {
+            let mut flash = flash.clone();
+            flash.bytes[wiped].fill(0xff);
+            let (found, flash) = boot(flash);
+            assert_eq!(found, Found::Damaged);
+            // Told again, it is whole again, also if that is cut: until then nothing counts.
+            let mut store = Store::new(flash.clone()).expect("room");
+            store.write(&newer).expect("has power");
+            let cost = store.into_flash().used - flash.used;
+            for power in 0..=cost {
+                let mut flash = flash.clone();
+                flash.power = power;
+                let mut store = Store::new(flash).expect("room");
+                let kept = store.write(&newer).is_ok();
+                let mut flash = store.into_flash();
+                flash.power = usize::MAX;
+                let (found, _) = boot(flash.clone());
+                assert_eq!(
+                    found,
+                    if kept { Found::Whole } else { Found::Damaged },
+                    "{power}"
+                );
+                assert_eq!(read(flash), kept.then(|| newer.clone()), "{power}");
+            }
+        }
+    }
+    // The other way round it is the same: nobody knows which of them was meant to be.
+    open.apply(Setting::NoSigners).expect("fits");
+    let mut signed = record("one");
+    signed.apply(Setting::Signer([7; 32])).expect("fits");
+    let mut flash = two(&signed, &open);
+    flash.bytes[4100] ^= 1;
+    assert_eq!(boot(flash).0, Found::Damaged);
+}
+
+#[test]
+fn copies_of_a_firmware_that_knew_no_marks_are_marked_at_the_first_boot() {
+    let mut flash = two(&record("one"), &record("two"));
+    for copy in [4064..4096, 8160..8192] {
+        flash.bytes[copy].fill(0xff);
+    }
+    assert_eq!(read(flash.clone()), Some(record("two")));
+    let (found, mut flash) = boot(flash);
+    assert_eq!((found, marks(&flash).len()), (Found::Whole, 2));
+    let (_, again) = boot(flash.clone());
+    assert_eq!(again.used, flash.used, "once is enough");
+    flash.bytes[4096 + 30] ^= 1;
+    assert_eq!(boot(flash).0, Found::Damaged);
+}
+
+#[test]
+fn what_a_boot_found_is_shown_until_it_is_told_again() {
+    let mut tuned = record("one");
+    tuned.apply(Setting::HasLidar(true)).expect("fits");
+    let mut flash = two(&record("one"), &tuned);
+    flash.bytes[4096 + 30] ^= 1;
+    let mut line = Line::new(flash);
+    let found = |line: &mut Line| match line.ask(Request::Show) {
+        Ok(Reply::Record(shown)) => shown.found,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(found(&mut line), Found::Older);
+    line.ask(Request::Set(Setting::HasLidar(true)))
+        .expect("fits");
+    assert_eq!(line.ask(Request::Commit), Ok(Reply::Kept { sequence: 3 }));
+    assert_eq!(found(&mut line), Found::Whole);
+    assert_eq!(boot(line.node.into_store().into_flash()).0, Found::Whole);
+}
+
+#[test]
+fn a_board_that_cannot_be_wired_is_not_kept_and_says_which_pin_and_why() {
+    let mut line = Line::new(Flash::new(2));
+    for setting in settings() {
+        line.ask(Request::Set(setting)).expect("fits");
+    }
+    line.ask(Request::Set(Setting::Axes(3))).expect("fits");
+    let pin = |of, gpio| {
+        Setting::Pin(PinSetting {
+            of,
+            gpio: Some(gpio),
+        })
+    };
+    line.ask(Request::Set(pin(PinUse::Step(2), 33)))
+        .expect("a number");
+    let fault = PinFault {
+        of: PinUse::Step(2),
+        gpio: Some(33),
+        why: PinWhy::Psram,
+    };
+    let refused = Err(HostError::Refused(Refused::Pins(fault)));
+    assert_eq!(line.ask(Request::Commit), refused);
+    line.ask(Request::Set(pin(PinUse::Step(2), 8)))
+        .expect("a number");
+    assert_eq!(line.ask(Request::Commit), Ok(Reply::Kept { sequence: 1 }));
+    let Ok(Reply::Pins(wiring)) = line.ask(Request::ShowPins) else {
+        panic!("it shows what is kept");
+    };
+    assert_eq!((wiring.axes(), wiring.pin(PinUse::Step(2))), (3, Some(8)));
 }
 
 #[test]

@@ -63,37 +63,45 @@ impl Layout {
     /// receivers' blocks, which nobody else uses, allow.
     ///
     /// # Panics
-    /// There are more axes than transmitters, or none.
+    /// There are more axes than transmitters.
     pub const fn places<const AXES: usize>(self) -> [Place; AXES] {
-        assert!(AXES >= 1 && AXES <= self.transmitters);
         let mut places = [Place {
             channel: 0,
             blocks: 1,
         }; AXES];
         let mut axis = 0;
         while axis < AXES {
-            // The last one begins at the last transmitter, so that it reaches the receivers' blocks.
-            let channel = match AXES {
-                1 => self.transmitters - 1,
-                _ => axis * (self.transmitters - 1) / (AXES - 1),
-            };
-            let end = if axis + 1 < AXES {
-                (axis + 1) * (self.transmitters - 1) / (AXES - 1)
-            } else {
-                self.blocks
-            };
-            let blocks = end - channel;
-            places[axis] = Place {
-                channel,
-                blocks: if AXES == self.transmitters && AXES > 2 || blocks == 0 {
-                    1
-                } else {
-                    blocks
-                },
-            };
+            places[axis] = self.place(axis, AXES);
             axis += 1;
         }
         places
+    }
+
+    /// Returns the place of one of so many axes.
+    ///
+    /// # Panics
+    /// There are more axes than transmitters, or it is none of them.
+    pub const fn place(self, axis: usize, axes: usize) -> Place {
+        assert!(axis < axes && axes <= self.transmitters);
+        // The last one begins at the last transmitter, so that it reaches the receivers' blocks.
+        let channel = match axes {
+            1 => self.transmitters - 1,
+            _ => axis * (self.transmitters - 1) / (axes - 1),
+        };
+        let end = if axis + 1 < axes {
+            (axis + 1) * (self.transmitters - 1) / (axes - 1)
+        } else {
+            self.blocks
+        };
+        let blocks = end - channel;
+        Place {
+            channel,
+            blocks: if axes == self.transmitters && axes > 2 || blocks == 0 {
+                1
+            } else {
+                blocks
+            },
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use crate::{
 use keys::{AxisId, status::FaultCode};
 use motion::{
     Axis, StepBackend, TICKS_PER_US, Ticks,
-    limits::{LOW_WORD_TICKS_MAX, REFILL_WORDS},
+    limits::{CHANNELS, LOW_WORD_TICKS_MAX, REFILL_WORDS},
 };
 
 /// Most that a start may be prepared before its lead-in begins to be cut: 2 ms. The planning that
@@ -34,9 +34,9 @@ const IDLE_TICKS: u64 = 10 * TICKS_PER_US;
 
 /// How the streamer's hardware is set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StreamerConfig<const AXES: usize> {
+pub struct StreamerConfig<'p> {
     /// The transmitter of each axis.
-    pub places: [Place; AXES],
+    pub places: &'p [Place],
     /// DIV_CNT of all channels, so that a tick is 62.5 ns.
     pub divider: u8,
     /// How many words the read pointer is ahead of the word that plays: the one number that must be
@@ -51,32 +51,39 @@ pub struct Attention {
     pub wake: bool,
 }
 
-/// See the module.
+/// See the module. The axes are the caller's memory, some 8 KB each, so that a board has no more of them
+/// than motors: an array, or a loan.
 #[derive(Debug)]
-pub struct Streamer<R, const AXES: usize> {
+pub struct Streamer<R, A> {
     registers: R,
-    lanes: [Lane; AXES],
-    axes: [Axis; AXES],
+    /// Those of the axes come first.
+    lanes: [Lane; CHANNELS],
+    axes: A,
     divider: u8,
     held: bool,
     fault: Option<FaultCode>,
 }
 
-impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
-    /// Makes a pulse unit whose hardware nobody has touched: [`Streamer::begin`] comes next. Const,
-    /// because it has some 8 KB for each axis: a static holds it, and no stack ever does.
-    pub const fn new(registers: R, config: StreamerConfig<AXES>) -> Self {
-        let prefetch_words = config.prefetch_words as u64;
-        let mut lanes = [const { Lane::UNPLACED }; AXES];
-        let mut axis = 0;
-        while axis < AXES {
-            lanes[axis] = Lane::new(axis, config.places[axis], prefetch_words);
-            axis += 1;
+impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
+    /// Makes a pulse unit of these axes, whose hardware nobody has touched: [`Streamer::begin`] comes next.
+    ///
+    /// # Panics
+    /// There is no axis, or not a place for each, or more than [`CHANNELS`].
+    pub fn new(registers: R, config: StreamerConfig<'_>, axes: A) -> Self {
+        let count = axes.as_ref().len();
+        assert!(
+            count == config.places.len() && (1..=CHANNELS).contains(&count),
+            "an axis for each place"
+        );
+        let prefetch_words = config.prefetch_words.into();
+        let mut lanes = [const { Lane::UNPLACED }; CHANNELS];
+        for (axis, (lane, place)) in lanes.iter_mut().zip(config.places).enumerate() {
+            *lane = Lane::new(axis, *place, prefetch_words);
         }
         Self {
             registers,
             lanes,
-            axes: [const { Axis::new() }; AXES],
+            axes,
             divider: config.divider,
             held: true,
             fault: None,
@@ -86,10 +93,15 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
     /// Sets the hardware, at rest: pins low, interrupts held off until [`Streamer::resume`].
     pub fn begin(&mut self) {
         self.registers.enable_interrupts(0);
-        for index in 0..AXES {
+        for index in 0..self.count() {
             self.configure(index);
             self.lanes[index].look(&self.registers);
         }
+    }
+
+    /// Axes, which are no more than lanes.
+    fn count(&self) -> usize {
+        self.axes.as_ref().len().min(CHANNELS)
     }
 
     fn configure(&mut self, index: usize) {
@@ -149,12 +161,13 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
         self.refill(true);
         self.let_in();
         Attention {
-            wake: self.fault.is_some() || self.axes.iter().any(Axis::wants_planning),
+            wake: self.fault.is_some() || self.axes.as_ref().iter().any(Axis::wants_planning),
         }
     }
 
     fn mask(&self) -> u8 {
-        self.lanes.iter().fold(0, |mask, lane| mask | lane.mask())
+        let lanes = &self.lanes[..self.count()];
+        lanes.iter().fold(0, |mask, lane| mask | lane.mask())
     }
 
     /// Refills every block. `all`: also from axes that have little ahead, whose planner may be in
@@ -168,8 +181,8 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
         }
         loop {
             let mut soon = false;
-            for index in 0..AXES {
-                if all || self.axes[index].can_spare() {
+            for index in 0..self.count() {
+                if all || self.axes.as_ref()[index].can_spare() {
                     let leaves = reached & self.lanes[index].mask() != 0;
                     soon |= self.refill_axis(index, leaves);
                 }
@@ -190,7 +203,7 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
             axes,
             ..
         } = self;
-        let (lane, axis) = (&mut lanes[index], &mut axes[index]);
+        let (lane, axis) = (&mut lanes[index], &mut axes.as_mut()[index]);
         if !lane.is_playing(registers) {
             // At rest, or at the end marker behind what was written.
             if lane.has_begun() && !axis.has_ended() {
@@ -234,8 +247,11 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
             axes,
             ..
         } = self;
-        let mut cuts = [None; AXES];
-        let mut playing = [false; AXES];
+        let axes = axes.as_mut();
+        let count = axes.len().min(CHANNELS);
+        let lanes = &mut lanes[..count];
+        let mut cuts = [None; CHANNELS];
+        let mut playing = [false; CHANNELS];
         for (index, lane) in lanes.iter_mut().enumerate() {
             playing[index] = lane.is_playing(registers);
             if playing[index] {
@@ -244,8 +260,8 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
                 cuts[index] = Some(lane.starved_at(registers));
             }
         }
-        let mut certain = [true; AXES];
-        for index in 0..AXES {
+        let mut certain = [true; CHANNELS];
+        for index in 0..count {
             // A channel without a cut has lost the race against its transmitter.
             certain[index] = !(playing[index] && cuts[index].is_none());
         }
@@ -281,7 +297,7 @@ impl<R: Registers, const AXES: usize> Streamer<R, AXES> {
 
     /// Loads lead-in and second unit of every axis, without starting.
     fn load(&mut self, lead_ticks: u64) {
-        for (lane, axis) in self.lanes.iter_mut().zip(&mut self.axes) {
+        for (lane, axis) in self.lanes.iter_mut().zip(self.axes.as_mut()) {
             lane.reset();
             let fill = axis.lead_in(lead_ticks);
             lane.write(&fill, &mut self.registers);
@@ -304,11 +320,11 @@ fn stop_channel(lane: &Lane, registers: &mut impl Registers) {
     while !registers.status(channel).idle && registers.now() < from + IDLE_TICKS {}
 }
 
-impl<R: Registers, const AXES: usize> StepBackend for Streamer<R, AXES> {
+impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> StepBackend for Streamer<R, A> {
     fn axes(&mut self) -> &mut [Axis] {
         self.hold();
         self.refill(false);
-        &mut self.axes
+        self.axes.as_mut()
     }
 
     fn start_ticks(&self) -> u64 {
@@ -318,12 +334,13 @@ impl<R: Registers, const AXES: usize> StepBackend for Streamer<R, AXES> {
     fn start(&mut self, now: Ticks, lead_ticks: u64) {
         self.hold();
         let deadline = now.0 + START_TICKS;
-        let counts = self
-            .axes
-            .each_ref()
-            .map(|axis| axis.ledger().booked_steps());
+        let count = self.count();
+        let mut counts = [0; CHANNELS];
+        for (to, axis) in counts.iter_mut().zip(self.axes.as_ref()) {
+            *to = axis.ledger().booked_steps();
+        }
         self.load(lead_ticks);
-        for index in 0..AXES {
+        for index in 0..count {
             self.configure(index);
         }
         let mask = self.mask();
@@ -333,20 +350,20 @@ impl<R: Registers, const AXES: usize> StepBackend for Streamer<R, AXES> {
         let trigger_at = self.registers.now().max(now.0) + TRIGGER_TICKS;
         if trigger_at > deadline {
             self.fault = Some(FaultCode::START_LATE);
-            for ((axis, lane), count) in self.axes.iter_mut().zip(&mut self.lanes).zip(counts) {
+            let axes = self.axes.as_mut().iter_mut();
+            for ((axis, lane), count) in axes.zip(&mut self.lanes).zip(counts) {
                 lane.end(None, &self.registers);
                 axis.halt(count);
                 lane.reset();
             }
             return;
         }
-        for lane in &mut self.lanes {
+        for lane in &mut self.lanes[..count] {
             let left_ticks = now.0 + lead_ticks - trigger_at;
             lane.lead_in(left_ticks, &mut self.registers);
             lane.turn_at_rest(&mut self.registers);
         }
-        let (last, others) = self
-            .lanes
+        let (last, others) = self.lanes[..count]
             .split_last_mut()
             .expect("a pulse unit has an axis");
         for lane in others {
@@ -366,9 +383,8 @@ impl<R: Registers, const AXES: usize> StepBackend for Streamer<R, AXES> {
     }
 
     fn is_playing(&self) -> bool {
-        self.lanes
-            .iter()
-            .any(|lane| lane.is_playing(&self.registers))
+        let lanes = &self.lanes[..self.count()];
+        lanes.iter().any(|lane| lane.is_playing(&self.registers))
     }
 
     fn halt(&mut self, now: Ticks) -> Ticks {
@@ -379,14 +395,16 @@ impl<R: Registers, const AXES: usize> StepBackend for Streamer<R, AXES> {
 
     fn played_steps(&self, axis: AxisId) -> i64 {
         let index = usize::from(axis.0);
-        let Some(lane) = self.lanes.get(index) else {
+        let (Some(lane), Some(axis)) = (self.lanes.get(index), self.axes.as_ref().get(index))
+        else {
             return 0;
         };
-        self.axes[index].ledger().booked_steps() - lane.unplayed_steps(&self.registers)
+        axis.ledger().booked_steps() - lane.unplayed_steps(&self.registers)
     }
 
     fn counted_steps(&self, axis: AxisId) -> Option<i64> {
-        self.lanes
+        let lanes = &self.lanes[..self.count()];
+        lanes
             .get(usize::from(axis.0))?
             .counted_steps(&self.registers)
     }

@@ -150,6 +150,16 @@ fn four_axes_with_a_block_each_play_what_the_emulator_plays() {
 }
 
 #[test]
+fn three_axes_have_blocks_of_three_lengths_and_play_what_the_emulator_plays() {
+    let places = Layout::FOUR.places::<3>();
+    assert_eq!(places.map(|place| place.words()), [48, 96, 240]);
+    for (seed, silicon) in (31..).zip(silicons()) {
+        println!("seed {seed}");
+        assert_same(&mixed(seed, 150, 3), places, silicon);
+    }
+}
+
+#[test]
 fn ramps_are_those_of_the_emulator() {
     let ramp = |axis, steps, jerk_hz_per_s2| Command::Ramp {
         axis,

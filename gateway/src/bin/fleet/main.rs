@@ -19,6 +19,7 @@ mod link;
 mod log;
 mod manage;
 mod pace;
+mod pins;
 mod provision;
 mod script;
 mod secure;

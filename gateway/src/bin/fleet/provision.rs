@@ -4,6 +4,7 @@ use crate::{
     args::Common,
     driver::{self, Driver},
     link::Failure,
+    pins::{self, PinArgs},
     tuning::{self, TuningArgs},
 };
 use clap::{
@@ -13,7 +14,7 @@ use clap::{
 use gateway::security::home::read_secret;
 use keys::{NodeId, credentials::Credentials};
 use provision::{
-    Host, Reply, Request, Setting, Tuning,
+    Found, Host, Reply, Request, Setting, Tuning,
     dialogue::{SIGNER_SHOWN_BYTES, Shown},
     frame::FRAME_BYTES_MAX,
     machine::{End, SwitchOf, SwitchSettings},
@@ -107,6 +108,9 @@ pub(crate) struct Provision {
     /// be repeated.
     #[arg(long, value_name = "AXIS=DRIVER,…", value_parser = driver::read)]
     driver: Vec<Driver>,
+
+    #[command(flatten)]
+    pins: PinArgs,
 
     #[command(flatten)]
     tuning: TuningArgs,
@@ -258,6 +262,7 @@ impl Provision {
         let answers = QUESTIONS.iter().zip(self.answers.0);
         settings.extend(answers.filter_map(|(question, answer)| answer.map(question.setting)));
         settings.extend(self.driver.iter().copied().map(Driver::setting));
+        settings.extend(self.pins.settings());
         settings.extend(self.tuning.settings());
         Ok(settings)
     }
@@ -415,10 +420,15 @@ fn talk(port: &Path, settings: Vec<Setting>, restart: bool, json: bool) -> Resul
         told = tuning;
     }
     let mut lines = Vec::new();
+    if shown.has_wiring
+        && let Reply::Pins(wiring) = ask(&mut *port, Request::ShowPins)?
+    {
+        lines = pins::lines(&wiring, &shown.machine);
+    }
     if shown.has_drivers
         && let Reply::Axes(axes) = ask(&mut *port, Request::ShowAxes)?
     {
-        lines = driver::lines(&axes);
+        lines.extend(driver::lines(&axes));
     }
     lines.extend(tuning::lines(&told));
     show(&shown, &lines, firmware, json);
@@ -483,6 +493,7 @@ fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool)
             "switches": switches,
             "cd": shown.machine.has_cd,
             "lidar": shown.machine.has_lidar,
+            "record": kept(shown.found),
             "tuning": tuning,
         });
         println!("{line}");
@@ -493,6 +504,15 @@ fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool)
         .name
         .map_or("none".to_owned(), |name| name.to_string());
     println!("firmware    {major}.{minor}.{patch}");
+    match shown.found {
+        Found::Nothing | Found::Whole => {}
+        Found::Older => {
+            println!("record      damaged: the one before is used, tell it again");
+        }
+        Found::Damaged => {
+            println!("record      damaged: the node does nothing, tell it everything again");
+        }
+    }
     println!("name        {name}");
     println!("networks    {}", networks.join(", "));
     println!("router      {}", shown.router);
@@ -521,6 +541,16 @@ fn show(shown: &Shown, tuning: &[(&str, String)], firmware: [u8; 3], json: bool)
     // As by default otherwise.
     for (name, words) in tuning {
         println!("{name:<11} {words}");
+    }
+}
+
+/// What became of the record.
+fn kept(found: Found) -> &'static str {
+    match found {
+        Found::Nothing => "none",
+        Found::Whole => "whole",
+        Found::Older => "older",
+        Found::Damaged => "damaged",
     }
 }
 

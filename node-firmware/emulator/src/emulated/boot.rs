@@ -9,10 +9,12 @@ use crate::{
 };
 use keys::{
     LocalMicros, Vitals,
+    status::FaultCode,
     update::{UpdateMessage, UpdateReply},
 };
 use motion::MotionConfig;
 use node::{Inbound, Node, NodeConfig, Outbound, library::Library};
+use provision::{Found, store::OLDER};
 
 impl node::run::Host for EmulatedNode {
     fn handle(&mut self, now: LocalMicros, inbound: Inbound<'_>) {
@@ -85,12 +87,17 @@ pub(super) fn boot_node(
         signers: config.signers.clone(),
         ..NodeConfig::new(config.name, boot)
     };
-    let node = Node::new(
+    let mut node = Node::new(
         memory.words(),
         take_plans(),
         backend,
         Bench::default(),
         node_config,
     );
+    if config.found == Found::Older {
+        let start = LocalMicros(0);
+        node.fault(FaultCode::RECORD, start);
+        node.tell(start, format_args!("{OLDER}"));
+    }
     Borrower::from(node)
 }

@@ -1,34 +1,56 @@
-//! On-board tests of the pulse path, for whoever has a board on the desk: `cargo +esp run --release
-//! --bin hil`. No wire is needed, no motor must be connected: the step pins are read back by the
-//! pulse counters. It has never run; only its types were checked.
+//! On-board tests of the pulse path and of what surrounds it, for whoever has a board on the desk:
+//! `cargo +esp run --release --bin hil`. No wire is needed, nothing must be connected: what leaves a pin is
+//! read back at the pin. It has never run; its types were checked, and it links for the relatives.
+//!
+//! Each test says PASS or FAIL with its figures. It restarts three times, on purpose; the last line counts
+//! the failures.
 //!
 //! | test | what it shows |
 //! |---|---|
+//! | loopback | an RMT receiver measures what a transmitter sends: each interval, to the tick |
 //! | rates | 1 kHz to 500 kHz, ledger and counter agree at the end |
 //! | turns | 2,000 changes of direction, none lost |
 //! | halts | 500 stops anywhere; their difference is what `board::PREFETCH_WORDS` is off by |
-//! | starts | from the order to the first edge, against the lead-in that was asked for |
+//! | load | four axes at 200 kHz for 10 s, by core 1, while core 0 scans for networks: late refills, counts |
+//! | flash | a write of flash between moves: how long core 1 stands still, and that no count is touched |
+//! | PSRAM | the command ring's memory, written and read again and again during a scan |
 //! | inputs | every switch input, moved by its own pin: one edge each, in order, at its time |
 //! | C | runs of 1 to 70,000 steps end by themselves with exactly as many, counted at the pin |
 //! | laser | share of time that its pin is high, at 0 to 100 % |
 //! | shift register | 256 words there and back; without one it is said and skipped |
+//! | panic | its reason is there after the reset, in RTC RAM |
+//! | watchdogs | both bite, and the next boot knows which |
 //!
-//! The RMT's receivers are not used: with two axes their blocks belong to the transmitters, so what
-//! leaves a pin is read back by its counter.
+//! With four axes each transmitter has its own block, so the receivers' are free for the loopback. The ESP32-C6
+//! has two transmitters, of which one borrows the receivers' blocks: no loopback there, and with one core no load.
 #![no_std]
 #![no_main]
 
+extern crate alloc;
+
+#[path = "hil/beside.rs"]
+mod beside;
 #[path = "../board.rs"]
-#[expect(dead_code, reason = "the pin table is that of the firmware")]
+#[expect(dead_code, reason = "the table is that of the firmware")]
 mod board;
 #[cfg(feature = "timers")]
 #[path = "../cd.rs"]
 mod cd;
 #[path = "../heap.rs"]
-#[expect(dead_code, reason = "the one small heap will do")]
+#[expect(dead_code, reason = "nothing large is asked for")]
 mod heap;
 #[path = "../inputs.rs"]
 mod inputs;
+#[path = "hil/load.rs"]
+mod load;
+#[cfg(not(feature = "esp32c6"))]
+#[path = "hil/loopback.rs"]
+mod loopback;
+#[path = "../panic.rs"]
+#[expect(dead_code, reason = "nobody keeps events")]
+mod panic;
+#[path = "hil/pulses.rs"]
+mod pulses;
 #[cfg(feature = "timers")]
 #[path = "../pwm.rs"]
 mod pwm;
@@ -40,279 +62,129 @@ mod pwm;
 mod rmt;
 #[path = "../shift.rs"]
 mod shift;
+#[path = "hil/stages.rs"]
+mod stages;
+#[path = "../watchdog.rs"]
+#[expect(dead_code, reason = "no task feeds anything here")]
+mod watchdog;
 
-#[cfg(feature = "timers")]
-use crate::{cd::Cd, pwm::PwmChip};
-use crate::{
-    inputs::InputPins,
-    rmt::{RmtBackend, WANTED, now_ticks},
-    shift::ShiftRegister,
-};
-use core::sync::atomic::{AtomicU32, Ordering};
+use crate::{pulses::Bench, rmt::RmtBackend};
+use embassy_executor::Spawner;
 #[cfg(feature = "counters")]
 use esp_hal::pcnt::Pcnt;
-#[cfg(feature = "timers")]
-use esp_hal::peripherals::GPIO;
-use esp_hal::{clock::CpuClock, gpio::Flex, main, peripherals::IO_MUX, system::software_reset};
-use esp_println::println;
-use keys::{AxisId, Command, StopMode, command::COMMAND_WORDS};
-#[cfg(feature = "timers")]
-use motion::CdBackend;
-use motion::{
-    CommandRing, Motion, MotionConfig, MotionEvent, PlanMemory, StepBackend, TICKS_PER_US, Ticks,
-};
-#[cfg(feature = "timers")]
-use periphery::Laser;
-use static_cell::ConstStaticCell;
+use esp_hal::{clock::CpuClock, timer::timg::TimerGroup};
+use esp_storage::FlashStorage;
+use esp_wifi::wifi::{ControllerConfig, WifiController};
+use provision::{Machine, Wiring, machine::SwitchSettings, wiring::KIT_SWITCHES};
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
-const RING_COMMANDS: usize = 512;
-static RING: [AtomicU32; RING_COMMANDS * COMMAND_WORDS] =
-    [const { AtomicU32::new(0) }; RING_COMMANDS * COMMAND_WORDS];
+/// As the firmware's: what the boot loader leaves behind.
+const HEAP_BYTES: usize = 72 * 1024;
 
-const X: AxisId = AxisId(0);
+/// Stack of the second core.
+#[cfg(feature = "dual")]
+const STACK_BYTES: usize = 64 * 1024;
 
-#[panic_handler]
-fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
-    println!("PANIC {info}");
-    software_reset()
-}
-
-struct Bench {
-    motion: Motion<'static, RmtBackend>,
-    failures: u32,
-}
-
-impl Bench {
-    fn order(&mut self, command: &Command) {
-        let Ok(mut reservation) = self.motion.reserve(1) else {
-            println!("FAIL the ring is full");
-            self.failures += 1;
-            return;
-        };
-        reservation.push(command);
-        reservation.commit();
-    }
-
-    fn turn(&mut self) {
-        while let Some(event) = self.motion.poll(Ticks(now_ticks())) {
-            if let MotionEvent::Fault(code) = event {
-                println!("FAIL fault {}: {}", code.0, code.as_str());
-                self.failures += 1;
-            }
-        }
-        self.motion.backend_mut().resume();
-        WANTED.store(false, Ordering::Release);
-    }
-
-    fn run_until(&mut self, at: u64) {
-        while now_ticks() < at {
-            self.turn();
-        }
-    }
-
-    fn run_to_rest(&mut self) {
-        self.turn();
-        while self.motion.is_active() {
-            self.turn();
-        }
-    }
-
-    /// Returns what the ledger has more than the counter.
-    fn difference(&mut self) -> i64 {
-        let backend = self.motion.backend();
-        let played = backend.played_steps(X);
-        let counted = backend.counted_steps(X).unwrap_or(played);
-        self.motion.backend_mut().resume();
-        played - counted
-    }
-
-    fn check(&mut self, test: &str, value: i64) {
-        let difference = self.difference();
-        let verdict = if difference == 0 { "ok  " } else { "FAIL" };
-        self.failures += u32::from(difference != 0);
-        println!("{verdict} {test} {value}: ledger {difference:+} against the counter");
-    }
-}
-
-fn steps(delay_us: u32, steps: i32) -> Command {
-    Command::Move {
-        axis: X,
-        delay_us,
-        steps,
-    }
-}
-
-/// Waits.
-fn rest(us: u64) {
-    let until = now_ticks() + us * TICKS_PER_US;
-    while now_ticks() < until {}
-}
-
-/// Every switch input is pressed and released by its own pin. Nothing may be connected that holds it.
-fn check_inputs(io_mux: IO_MUX<'static>) -> u32 {
-    let numbers = board::INPUT_PINS.map(|(_, number)| number);
-    // Before they are inputs: taking a pin resets it.
-    let mut pins = numbers.map(|number| Flex::new(board::pin(number)));
-    let (mut inputs, levels) = InputPins::new(io_mux, &numbers);
-    if levels.count_ones() as usize != numbers.len() {
-        println!("note inputs: {levels:#b} at rest, all high expected");
-    }
-    let mut failures = 0;
-    for (index, (number, pin)) in numbers.iter().zip(&mut pins).enumerate() {
-        pin.set_high();
-        pin.set_output_enable(true);
-        for high in [false, true] {
-            let at = now_ticks();
-            pin.set_level(high.into());
-            rest(50);
-            let told = inputs.poll(|_| 0);
-            let right = told.is_some_and(|told| {
-                let late_ticks = told.at.0.wrapping_sub(at);
-                told.index == index && told.level == high && late_ticks < 20 * TICKS_PER_US
-            });
-            if !right || inputs.has_caught() && inputs.poll(|_| 0).is_some() {
-                failures += 1;
-                println!("FAIL inputs: GPIO {number} to {high}: {told:?}");
-            }
-        }
-        pin.set_output_enable(false);
-    }
-    println!("inputs: {failures} failures");
-    failures
-}
-
-/// 256 words through the shift register.
-fn check_shift() -> u32 {
-    let mut register = ShiftRegister::new();
-    if (0..256).all(|word| register.exchange(word) == 0) {
-        println!("SKIP shift register: nothing comes back");
-        return 0;
-    }
-    let wrong = (0..256_u32).filter(|word| register.exchange(*word) != *word);
-    let failures = wrong.count() as u32;
-    register.exchange(0);
-    println!("shift register: {failures} of 256 words wrong");
-    failures
-}
-
-/// C's runs, counted at the pin.
-#[cfg(feature = "timers")]
-fn check_c(c: &mut Cd) -> u32 {
-    let mut failures = 0;
-    let mut expected = 0;
-    for (steps, interval_ticks) in [(1, 16_000), (-2, 1_600), (1_000, 800), (-70_000, 800)] {
-        expected += steps;
-        c.run_c(Ticks(now_ticks()), steps, interval_ticks);
-        while c.is_c_running() {
-            c.service(Ticks(now_ticks()));
-        }
-        rest(5_000);
-        let counted = c.counted_c();
-        if counted != expected {
-            failures += 1;
-            println!("FAIL C: {counted} steps, {expected} expected");
-            expected = counted;
-        }
-    }
-    println!("C: {failures} failures");
-    failures
-}
-
-/// The laser's share of time. Nothing that burns may be connected.
-#[cfg(feature = "timers")]
-fn check_laser(mut pwm: PwmChip) -> u32 {
-    let pin = board::LASER_PIN;
-    IO_MUX::regs()
-        .gpio(usize::from(pin))
-        .modify(|_, w| w.fun_ie().set_bit());
-    PwmChip::take(0);
-    let mut laser = Laser::new(&mut pwm, 0, 0);
-    let mut failures = 0;
-    for percent in [0, 1, 25, 50, 99, 100, 0] {
-        laser.set(&mut pwm, percent);
-        rest(1_000);
-        let (mut high, mut all) = (0_u32, 0_u32);
-        let until = now_ticks() + 20_000 * TICKS_PER_US;
-        while now_ticks() < until {
-            high += GPIO::regs().in_().read().bits() >> pin & 1;
-            all += 1;
-        }
-        let found = high * 100 / all;
-        if found.abs_diff(u32::from(percent)) > 1 {
-            failures += 1;
-            println!("FAIL laser: {found} % of the time, {percent} expected");
-        }
-    }
-    println!("laser: {failures} failures");
-    failures
-}
-
-#[main]
-fn main() -> ! {
-    let parts = esp_hal::init(esp_hal::Config::default().with_cpu_clock(CpuClock::max()));
-    // A dependency may ask for a heap; nothing here does.
-    esp_alloc::heap_allocator!(size: 1024);
-    #[cfg(feature = "counters")]
-    #[cfg_attr(
-        not(feature = "timers"),
-        expect(unused_mut, reason = "C is what changes it")
-    )]
-    let mut counters = Pcnt::new(parts.PCNT);
-    let backend = RmtBackend::new(
-        parts.RMT,
-        #[cfg(feature = "counters")]
-        &counters,
-    );
-    static PLANS: ConstStaticCell<PlanMemory> = ConstStaticCell::new(PlanMemory::new());
-    let motion = Motion::new(
-        CommandRing::new(&RING),
-        PLANS.take().plans(),
-        backend,
-        MotionConfig::default(),
-    );
-    let mut bench = Bench {
-        motion,
-        failures: 0,
+/// As many axes as the chip drives; then each transmitter has its own block.
+fn wire() {
+    let wiring = Wiring {
+        axis_count: board::AXES_MAX as u8,
+        ..Wiring::default()
     };
-    for delay_us in [1_000, 100, 20, 10, 5, 2] {
-        bench.order(&steps(delay_us, 20_000));
-        bench.run_to_rest();
-        bench.check("rates, us a step:", i64::from(delay_us));
+    let machine = Machine {
+        has_cd: true,
+        ..Machine::default()
+    };
+    board::wire(&wiring, &machine);
+}
+
+/// The pins of the kit's switches, but for those that an axis has here.
+fn input_pins() -> heapless::Vec<u8, { KIT_SWITCHES.len() }> {
+    let pins = KIT_SWITCHES.iter().filter_map(|(of, end)| {
+        let switch = SwitchSettings {
+            of: *of,
+            end: *end,
+            normally_closed: true,
+            homes: false,
+        };
+        provision::wiring::kit_pin(provision::PinUse::of_switch(&switch))
+    });
+    let is_free = |pin: &u8| board::driven_pins().all(|driven| driven != *pin);
+    pins.filter(is_free).collect()
+}
+
+#[esp_rtos::main]
+async fn main(_spawner: Spawner) -> ! {
+    let config = esp_hal::Config::default().with_cpu_clock(CpuClock::max());
+    let parts = esp_hal::init(config);
+    #[cfg(feature = "esp32s3")]
+    esp_alloc::heap_allocator!(#[esp_hal::ram(reclaimed)] size: HEAP_BYTES);
+    #[cfg(not(feature = "esp32s3"))]
+    esp_alloc::heap_allocator!(size: HEAP_BYTES);
+    let timers = TimerGroup::new(parts.TIMG0);
+    esp_rtos::start(timers.timer0, parts.FROM_CPU_INTR0);
+    if !stages::begins(panic::take_report()) {
+        stages::go_on(parts.RTC_TIMER, parts.TIMG1);
     }
-    for turn in 0..2_000 {
-        let sign = if turn % 2 == 0 { 1 } else { -1 };
-        bench.order(&steps(10, sign * (1 + turn % 40)));
-        bench.turn();
-        if turn % 200 == 199 {
-            bench.run_to_rest();
-        }
-    }
-    bench.check("turns:", 2_000);
-    let mut histogram = [0_u32; 9];
-    for halt in 0..500_u64 {
-        bench.order(&steps(3 + (halt % 40) as u32, 5_000));
-        let begun = now_ticks();
-        bench.run_until(begun + 40_000 + halt * 613 % 60_000);
-        bench.motion.stop(StopMode::Halt, Ticks(now_ticks()));
-        bench.run_to_rest();
-        bench.motion.begin_queue();
-        let difference = bench.difference();
-        let slot = (difference + 4).clamp(0, 8) as usize;
-        histogram[slot] += 1;
-    }
-    println!("halts: ledger minus counter, -4 to +4: {histogram:?}");
-    println!("       all in the middle: PREFETCH_WORDS is right; else it is off by the place");
-    bench.failures += u32::from(histogram[4] != 500);
+    wire();
+    let wifi = WifiController::new(parts.WIFI, ControllerConfig::default());
+    #[cfg(feature = "psram")]
+    let psram = parts.PSRAM;
+    let (rmt_parts, mux_parts) = (parts.RMT, parts.IO_MUX);
+    #[cfg(feature = "counters")]
+    let counter_parts = parts.PCNT;
     #[cfg(feature = "timers")]
+    let (timer_parts, pwm_parts) = (parts.MCPWM0, parts.LEDC);
+    let tests = move || {
+        #[cfg(feature = "counters")]
+        #[cfg_attr(
+            not(feature = "timers"),
+            expect(unused_mut, reason = "C is what changes it")
+        )]
+        let mut counters = Pcnt::new(counter_parts);
+        let backend = RmtBackend::new(
+            rmt_parts,
+            #[cfg(feature = "counters")]
+            &counters,
+        );
+        let mut bench = Bench::new(backend);
+        #[cfg(not(feature = "esp32c6"))]
+        loopback::check(&mut bench);
+        bench.check_rates();
+        bench.check_turns();
+        bench.check_halts();
+        load::check(&mut bench);
+        #[cfg(feature = "psram")]
+        load::check_psram(&mut bench, psram);
+        #[cfg(feature = "timers")]
+        {
+            let pwm = pwm::PwmChip::new(pwm_parts);
+            let mut c = cd::Cd::new(timer_parts, &mut counters);
+            bench.failures += beside::check_c(&mut c);
+            bench.failures += beside::check_laser(pwm);
+        }
+        bench.failures += beside::check_inputs(mux_parts, &input_pins());
+        bench.failures += beside::check_shift();
+        load::end();
+        stages::tests_done(bench.failures);
+    };
+    #[cfg(feature = "dual")]
     {
-        let pwm = PwmChip::new(parts.LEDC);
-        bench.failures += check_c(&mut Cd::new(parts.MCPWM0, &mut counters));
-        bench.failures += check_laser(pwm);
+        use esp_hal::system::{CpuControl, Stack};
+        static STACK: static_cell::StaticCell<Stack<STACK_BYTES>> = static_cell::StaticCell::new();
+        let core = CpuControl::new(parts.CPU_CTRL).start_app_core(STACK.init(Stack::new()), tests);
+        core::mem::forget(core.expect("it does not run yet"));
+        let storage = FlashStorage::new(parts.FLASH).multicore_auto_park();
+        load::serve(wifi.ok(), storage).await;
     }
-    bench.failures += check_inputs(parts.IO_MUX);
-    bench.failures += check_shift();
-    println!("{} failures", bench.failures);
-    loop {}
+    #[cfg(not(feature = "dual"))]
+    {
+        // One core: nobody scans while it tests.
+        core::mem::forget((wifi, FlashStorage::new(parts.FLASH)));
+        tests();
+    }
+    loop {
+        embassy_time::Timer::after_secs(1).await;
+    }
 }

@@ -21,7 +21,7 @@ const JUNCTION_HZ: u32 = 3_000;
 
 /// Consumes words and lets the interrupt in whenever a unit was played.
 struct Pulses<const AXES: usize> {
-    streamer: Streamer<Hardware, AXES>,
+    streamer: Streamer<Hardware, [Axis; AXES]>,
     count: fn() -> u32,
     run: Run,
 }
@@ -43,7 +43,7 @@ pub(crate) struct Run {
 
 /// The whole interrupt, under a name that a profiler's counts can be found by.
 #[inline(never)]
-fn refill_of_axes<const AXES: usize>(streamer: &mut Streamer<Hardware, AXES>) -> bool {
+fn refill_of_axes<const AXES: usize>(streamer: &mut Streamer<Hardware, [Axis; AXES]>) -> bool {
     black_box(streamer.on_interrupt()).wake
 }
 
@@ -58,12 +58,13 @@ impl<const AXES: usize> Pulses<AXES> {
                 blocks: 1,
             }
         });
+        let axes = [const { Axis::new() }; AXES];
         let config = StreamerConfig {
-            places,
+            places: &places,
             divider: 5,
             prefetch_words: hardware::PREFETCH_WORDS,
         };
-        let mut streamer = Streamer::new(Hardware::new(), config);
+        let mut streamer = Streamer::new(Hardware::new(), config, axes);
         streamer.begin();
         Self {
             streamer,

@@ -45,7 +45,7 @@ pub(crate) fn splitmix(seed: u64) -> u64 {
 
 /// The streamer and the world around it.
 pub(crate) struct Rig<const AXES: usize> {
-    pub(crate) streamer: Streamer<ModelRegisters, AXES>,
+    pub(crate) streamer: Streamer<ModelRegisters, [Axis; AXES]>,
     pub(crate) model: Rc<RefCell<Model>>,
     lateness: Lateness,
     random: u64,
@@ -60,12 +60,13 @@ impl<const AXES: usize> Rig<AXES> {
     ) -> Self {
         let channels = places.iter().map(|place| place.channel).collect();
         let model = Rc::new(RefCell::new(Model::new(silicon, channels)));
+        let axes = [const { Axis::new() }; AXES];
         let config = StreamerConfig {
-            places,
+            places: &places,
             divider: CLOCK_DIVIDER,
             prefetch_words,
         };
-        let mut streamer = Streamer::new(ModelRegisters(model.clone()), config);
+        let mut streamer = Streamer::new(ModelRegisters(model.clone()), config, axes);
         streamer.begin();
         Self {
             streamer,
