@@ -7,7 +7,7 @@ use crate::{
     link::Link,
     message::{Message, Moment},
     model::Model,
-    panels,
+    panels::{self, node::Page},
     recording::{replay::Replay, session::Session},
     request::{Request, Requests, Scope, Ticket},
     sound::Sound,
@@ -72,7 +72,9 @@ impl Dashboard {
         for message in files.serve(ui.ctx(), model, session, view) {
             session.heard(now, &message, model);
             model.apply(now, message);
+            panels::composer::take_opened(model, &mut view.composer);
         }
+        panels::composer::take_opened(model, &mut view.composer);
         Panel::top("top").show(ui, |ui| {
             panels::top::top_ui(ui, model, session, view, requests);
         });
@@ -89,6 +91,14 @@ impl Dashboard {
             } else if replay.speed > 0.0 {
                 ui.ctx().request_repaint_after(FRAME_EVERY);
             }
+        }
+        // Of the fleet that is there: a recording has what was told then.
+        if let Some(node) = view.focus.filter(|_| view.node.page == Page::Setup)
+            && session.replay().is_none()
+            && model.setup_is_due(&node)
+            && !requests.holds(&Request::Setup { node })
+        {
+            requests.push(Request::Setup { node });
         }
         let model = session.replay().map_or(&*model, Replay::model);
         if model.jobs().is_counting_down(model.now()) {
@@ -196,6 +206,10 @@ impl Dashboard {
                 },
                 Request::Acknowledge { alarm } => Message::Acknowledged { alarm: *alarm },
                 Request::Cancel { job } => Message::CancelAsked { ticket, job: *job },
+                Request::Setup { node } => Message::SetupAsked {
+                    ticket,
+                    node: *node,
+                },
                 Request::Refresh
                 | Request::Connect { .. }
                 | Request::ReadFile { .. }

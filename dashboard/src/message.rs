@@ -2,7 +2,7 @@
 
 use crate::request::{Language, Order, Scope, Ticket};
 use keys::{
-    JobId, NodeId, Status, StopMode, Vitals,
+    JobId, NodeId, Setup, Status, StopMode, Vitals,
     record::{JobError, JobRecord, LinkRecord, NodeRecord, Receipt, StartPlan},
 };
 use serde::{Deserialize, Serialize};
@@ -55,6 +55,13 @@ pub enum Message {
         node: NodeId,
         /// Its own words.
         vitals: Vitals,
+    },
+    /// How a node is set.
+    Setup {
+        /// The node.
+        node: NodeId,
+        /// Its own words.
+        setup: Box<Setup>,
     },
     /// A job changed, or is told for the first time.
     Job(Box<JobRecord>),
@@ -121,6 +128,13 @@ pub enum Message {
         node: NodeId,
         /// What.
         order: Order,
+    },
+    /// A node was asked how it is set.
+    SetupAsked {
+        /// Identifies the request.
+        ticket: Ticket,
+        /// The node.
+        node: NodeId,
     },
     /// What became of a request about a file.
     File {

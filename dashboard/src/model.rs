@@ -20,6 +20,7 @@ pub mod node;
 pub mod orders;
 pub mod ring;
 pub mod select;
+pub mod setup;
 
 use crate::{
     message::{Answer, FileOutcome, LinkEvent, Message, Moment},
@@ -34,7 +35,7 @@ use keys::{
 };
 use link::LinkState;
 use log::{Log, Source};
-use node::{Concern, Node};
+use node::{Concern, Node, Presence};
 use orders::Orders;
 use select::Pattern;
 use std::collections::{BTreeMap, VecDeque};
@@ -102,6 +103,16 @@ impl Model {
             Message::Vitals { node, vitals } => {
                 if let Some(known) = self.node_mut(node, at) {
                     known.set_vitals(at, vitals);
+                }
+            }
+            Message::Setup { node, setup } => {
+                if let Some(known) = self.node_mut(node, at) {
+                    known.set_setup(at, setup);
+                }
+            }
+            Message::SetupAsked { ticket, node } => {
+                if let Some(known) = self.nodes.get_mut(&node) {
+                    known.ask_setup(ticket, at);
                 }
             }
             Message::Job(record) => {
@@ -255,9 +266,25 @@ impl Model {
         self.unreadable
     }
 
+    /// Returns whether what is known of a node is what it says now: there is a link, and it was heard of
+    /// lately.
+    pub fn is_fresh(&self, node: &Node) -> bool {
+        self.link.is_up() && node.presence(self.now) == Presence::Alive
+    }
+
+    /// Returns whether somebody tells what becomes of jobs: there is a link, and a gateway behind it.
+    pub fn follows_jobs(&self) -> bool {
+        self.link.is_up() && self.link.gateway() != Some(false)
+    }
+
     /// Returns the present concern of a node, see [`Node::concern`].
     pub fn concern(&self, node: &Node) -> Option<Concern> {
         node.concern(self.now, self.link.is_up())
+    }
+
+    /// Returns whether a node is to be asked how it is set, for whoever wants to see that.
+    pub fn setup_is_due(&self, node: &NodeId) -> bool {
+        self.link.is_up() && self.node(node).is_some_and(Node::setup_is_due)
     }
 
     /// Counts the fleet.
@@ -272,9 +299,9 @@ impl Model {
         }
         for node in self.nodes.values() {
             match node.presence(self.now) {
-                node::Presence::Alive => totals.alive += 1,
-                node::Presence::Stale => totals.stale += 1,
-                node::Presence::Offline => totals.offline += 1,
+                Presence::Alive => totals.alive += 1,
+                Presence::Stale => totals.stale += 1,
+                Presence::Offline => totals.offline += 1,
             }
             totals.running += usize::from(node.word() == NodeWord::Running);
             totals.stopped += usize::from(node.word() == NodeWord::Stopped);
@@ -318,9 +345,11 @@ impl Model {
                 LinkEvent::Connecting { .. } | LinkEvent::Gateway { .. } => {}
             }
         }
+        let was_up = self.link.is_up();
         if let Some(words) = self.link.apply(at, event) {
             self.log.push(at, Source::Window, words);
         }
+        self.alarms.link(at, was_up, &self.link);
     }
 
     fn record(&mut self, at: Moment, record: NodeRecord) {
@@ -381,6 +410,10 @@ impl Model {
                 let words = format!("{} of {}: {why}", effort.verb(), effort.scope());
                 self.log.push(at, Source::Window, words);
             }
+            return;
+        }
+        let mut nodes = self.nodes.values_mut();
+        if nodes.any(|node| node.answer_setup(ticket, &answer)) {
             return;
         }
         let refusals = match &answer {

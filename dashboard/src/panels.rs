@@ -12,6 +12,7 @@ pub mod jobs;
 pub mod log;
 pub mod node;
 mod node_plots;
+mod node_setup;
 mod preview;
 pub mod pulses;
 mod reach;

@@ -167,6 +167,11 @@ pub fn picture(model: &Model) -> Vec<Message> {
         if let Some((_, vitals)) = node.vitals().copied() {
             messages.push(Message::Vitals { node: id, vitals });
         }
+        // What it told before another boot would be taken for this one's.
+        let told = node.setup().told().filter(|told| told.boot == node.boot());
+        if let Some(setup) = told.map(|told| told.setup.clone()) {
+            messages.push(Message::Setup { node: id, setup });
+        }
         if !alive {
             messages.push(Message::Alive { node: id, alive });
         }

@@ -152,6 +152,11 @@ pub enum Request {
         /// How.
         order: Order,
     },
+    /// Ask a node how it is set.
+    Setup {
+        /// Which.
+        node: NodeId,
+    },
     /// Read a job's text from a file of this computer.
     ReadFile {
         /// Which.
@@ -202,6 +207,11 @@ impl Requests {
         let ticket = Ticket(self.next);
         self.asked.push((ticket, request));
         ticket
+    }
+
+    /// Returns whether this was asked and not yet taken.
+    pub fn holds(&self, request: &Request) -> bool {
+        self.asked.iter().any(|(_, asked)| asked == request)
     }
 
     /// Returns what was asked since the last call.

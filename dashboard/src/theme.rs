@@ -157,6 +157,8 @@ pub const fn alarm_badge(cause: Cause) -> Badge {
         Cause::Silent => Badge::new("⚠", "silent", Tone::Warn),
         Cause::Clock => Badge::new("⌚", "clock", Tone::Warn),
         Cause::Skew(_) => Badge::new("⚠", "skew", Tone::Warn),
+        Cause::Link => Badge::new("✖", "link", Tone::Bad),
+        Cause::Gateway => Badge::new("✖", "gateway", Tone::Bad),
     }
 }
 
@@ -187,6 +189,11 @@ pub const fn job_badge(state: JobState) -> Badge {
 /// Returns text in a tone.
 pub fn toned(ui: &Ui, tone: Tone, text: impl Into<String>) -> RichText {
     RichText::new(text).color(tone.color(ui))
+}
+
+/// Returns text about what was and may be no more: slanted too, because a colour alone is easily overlooked.
+pub fn aged(ui: &Ui, text: RichText) -> RichText {
+    text.color(Tone::Quiet.color(ui)).italics()
 }
 
 /// Gives a name, for screen readers and tests, to what has none by itself.

@@ -36,6 +36,7 @@ fn verbs() -> Vec<&'static str> {
         "release",
         "provision",
         "script",
+        "setup",
     ];
     if cfg!(feature = "demo") {
         verbs.extend(["demo", "bench"]);
@@ -238,6 +239,9 @@ fn a_gateway_without_nodes_answers_every_verb() {
     let ran = gateway.fleet(&["release", "left"]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("unknown_node"), "{}", ran.err);
+    let ran = gateway.fleet(&["setup", "left"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("left: no node answers"), "{}", ran.err);
     let ran = gateway.fleet(&["stop"]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("no node"), "{}", ran.err);
@@ -353,6 +357,22 @@ fn an_operator_plays_stops_releases_and_cancels_on_emulated_nodes() {
         }
         assert!(began.elapsed() < PATIENCE, "{known:?}");
     }
+
+    let ran = gateway.fleet(&["setup", "left"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(
+        ran.out.contains("name") && ran.out.contains("left"),
+        "{}",
+        ran.out
+    );
+    assert!(
+        ran.out.contains("axes[1].stop_accel_hz_per_s"),
+        "{}",
+        ran.out
+    );
+    let setups = json_lines(&gateway.fleet(&["setup", "*", "--json"]));
+    let names: Vec<_> = setups.iter().map(|setup| setup["name"].as_str()).collect();
+    assert_eq!(names, [Some("left"), Some("right")]);
 
     let files = tempfile::tempdir().expect("a directory");
     let file = |name: &str, text: &str| {

@@ -35,6 +35,7 @@ pub mod record;
 pub mod script;
 #[cfg(feature = "json")]
 pub mod secret;
+pub mod setup;
 #[cfg(feature = "signed")]
 pub mod signed;
 #[cfg(feature = "signed")]
@@ -56,6 +57,7 @@ pub use command::{Command, Features};
 pub use ids::{AxisId, GroupId, JobId, NodeId};
 pub use key::{Keys, Topic};
 pub use script::{ScriptHeader, ScriptOutcome, ScriptReport};
+pub use setup::Setup;
 pub use status::{AxisStatus, Fault, NodeState, Status};
 pub use stop::{Stop, StopMode, StopReason, StopReport};
 pub use topics::NodeTopic;

@@ -21,6 +21,7 @@
 //! | `vitals` | [`Vitals`](crate::Vitals) | node → all | background | drop (the next is complete) |
 //! | `jog` | [`JogRequest`](crate::jog::JogRequest), JSON, answered by a [`JogReceipt`](crate::jog::JogReceipt) | client → node, by get | real-time | block |
 //! | `alive` | none | node → all, liveliness token | – | – |
+//! | `setup` | [`Setup`](crate::Setup), JSON: the node's answer to a get | node → client | background | drop |
 //! | `update` | [`UpdateMessage`](crate::update::UpdateMessage), answered by an [`UpdateReply`](crate::update::UpdateReply) | client → node, by get | data | block |
 
 /// What is said below one node's key.
@@ -68,11 +69,13 @@ pub enum NodeTopic {
     Jog,
     /// How its chip is.
     Vitals,
+    /// What it was told and is made of.
+    Setup,
 }
 
 impl NodeTopic {
     /// Every topic, in the order of the table.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::Job,
         Self::State,
         Self::Stop,
@@ -94,6 +97,7 @@ impl NodeTopic {
         Self::Trace,
         Self::Jog,
         Self::Vitals,
+        Self::Setup,
     ];
 
     /// Returns the last chunk of the key.
@@ -120,6 +124,7 @@ impl NodeTopic {
             Self::Trace => "trace",
             Self::Jog => "jog",
             Self::Vitals => "vitals",
+            Self::Setup => "setup",
         }
     }
 

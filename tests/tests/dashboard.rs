@@ -11,7 +11,7 @@
 mod operator;
 
 use dashboard::{
-    message::{Answer, Message, Moment},
+    message::{Answer, LinkEvent, Message, Moment},
     model::{Model, effort::Sending, node::Concern},
     panels::group_job,
     request::{Order, Request, Scope},
@@ -242,6 +242,72 @@ async fn the_link_comes_back_after_the_gateway_and_tells_what_is_true_meanwhile(
     bench.end().await;
 }
 
+/// Returns in which boot a node told how it is set.
+fn told_in(model: &Model, node: &NodeId) -> Option<u32> {
+    let node = model.node(node)?;
+    let told = node.setup().told()?;
+    assert_eq!(told.setup.name, Some(node.id()));
+    told.boot
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_node_tells_how_it_is_set_again_after_it_has_started_anew_and_not_when_it_is_gone() {
+    let mut bench = Bench::start().await;
+    let ids = NAMES.map(|name| NodeId::new(name).expect("a name"));
+    bench
+        .operator
+        .until("three nodes by their own word", |model| {
+            ids.iter()
+                .all(|id| model.node(id).is_some_and(|node| node.boot().is_some()))
+        });
+    for id in ids {
+        assert!(bench.operator.model().setup_is_due(&id));
+        bench.operator.ask(Request::Setup { node: id });
+        assert!(!bench.operator.model().setup_is_due(&id));
+    }
+    bench.operator.until("all have told", |model| {
+        ids.iter().all(|id| told_in(model, id).is_some())
+    });
+    let left = bench.operator.model().node(&ids[0]).expect("known");
+    let setup = &left.setup().told().expect("told").setup;
+    assert_eq!(setup.link.router.as_str(), bench.locator);
+    assert_eq!((setup.axes.len(), &*setup.chip), (2, "emulated"));
+    assert_eq!(setup.link.loss_after_us, 600_000_000);
+    bench.operator.until("the question is answered", |model| {
+        let asked = model.node(&ids[0]).and_then(|node| node.setup().asked());
+        let done = Answer::Done {
+            count: 1,
+            refused: Vec::new(),
+        };
+        asked.is_some_and(|asked| asked.answer == Some(done))
+    });
+
+    let before = told_in(bench.operator.model(), &ids[0]);
+    bench.nodes[0].reset();
+    bench.operator.until("it is to be asked anew", |model| {
+        model.setup_is_due(&ids[0])
+    });
+    assert_eq!(told_in(bench.operator.model(), &ids[0]), before);
+    bench.operator.ask(Request::Setup { node: ids[0] });
+    bench.operator.until("it tells in its new boot", |model| {
+        let boot = model.node(&ids[0]).and_then(|node| node.boot());
+        told_in(model, &ids[0]) == boot && boot != before
+    });
+
+    let leaver = bench.nodes.remove(0);
+    leaver.shutdown().await;
+    bench.operator.until("it is gone", |model| {
+        !model.node(&ids[0]).expect("known").is_there()
+    });
+    bench.operator.ask(Request::Setup { node: ids[0] });
+    bench.operator.until("nobody answers", |model| {
+        let asked = model.node(&ids[0]).and_then(|node| node.setup().asked());
+        let failed = |answer: &Answer| matches!(answer, Answer::Failed(_));
+        asked.is_some_and(|asked| asked.answer.as_ref().is_some_and(failed))
+    });
+    bench.end().await;
+}
+
 /// What was said about jobs, and which nodes said that they are ready, in order.
 #[derive(Default)]
 struct Said {
@@ -339,6 +405,9 @@ async fn a_synchronized_job_is_followed_from_ready_through_the_countdown_to_the_
     let all_ready = NAMES.map(|name| format!("fleet/node/{name}/status"));
     assert_eq!(ready, all_ready);
     let mut window = Model::default();
+    let to = bench.locator.clone();
+    let connected = Message::Link(LinkEvent::Connected { to });
+    window.apply(Moment(0), connected);
     let mut shown = Vec::new();
     let [plan] = said.plans[..] else {
         panic!("one plan, not {:?}", said.plans);

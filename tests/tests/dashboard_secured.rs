@@ -118,6 +118,12 @@ async fn an_operator_moves_and_a_viewer_looks_on_and_stops() {
         model.jobs().get(&ten).is_some()
     });
     bob.until("a gateway", |model| model.link().gateway() == Some(true));
+    bob.ask(Request::Setup { node: name("left") });
+    bob.until("how the node is set", |model| {
+        let node = model.node(&name("left")).expect("known");
+        let told = node.setup().told();
+        told.is_some_and(|told| told.setup.link.user.as_deref() == Some("left"))
+    });
     let ticket = bob.submit("left", &JOB.replace("ten", "more"));
     bob.until("an answer", |model| answer(model, ticket).is_some());
     let Some(Answer::Failed(why)) = answer(bob.model(), ticket) else {

@@ -150,6 +150,14 @@ impl Performer {
                 let replies = self.get(&key, payload).await?;
                 Ok(self.done(replies))
             }
+            Request::Setup { node } => {
+                let key = self.keys.node(&node, NodeTopic::Setup);
+                let replies = self.get(key.as_str(), None).await?;
+                Ok(match replies.is_empty() {
+                    true => Answer::Failed(self.no_setup()),
+                    false => self.done(replies),
+                })
+            }
             Request::Cancel { job } => {
                 let key = self.keys.job_cancel(&job);
                 let replies = self.get(key.as_str(), None).await?;
@@ -237,6 +245,15 @@ impl Performer {
             }
         }
         Answer::Done { count, refused }
+    }
+
+    /// Says what it may mean that a node does not tell how it is set.
+    fn no_setup(&self) -> String {
+        let user = match &self.user {
+            Some(user) => format!(", or the gateway's rules do not let the user {user} ask"),
+            None => String::new(),
+        };
+        format!("it does not answer: its firmware may be older than this question{user}")
     }
 
     /// Says what it may mean that nobody answered: a secured router passes over in silence what a

@@ -11,7 +11,7 @@ use crate::{
     request::Request,
 };
 use keys::{
-    Keys, NodeId, NodeTopic, Status, Topic, Vitals,
+    Keys, NodeId, NodeTopic, Setup, Status, Topic, Vitals,
     credentials::Credentials,
     record::{JobRecord, NodeRecord, StartPlan},
     version,
@@ -424,6 +424,10 @@ fn node_message(node: NodeId, topic: NodeTopic, payload: &[u8]) -> Result<Option
         NodeTopic::Vitals => {
             let vitals = Vitals::decode(payload).map_err(|error| error.to_string())?;
             Some(Message::Vitals { node, vitals })
+        }
+        NodeTopic::Setup => {
+            let setup = Box::new(Setup::from_json(payload)?);
+            Some(Message::Setup { node, setup })
         }
         NodeTopic::State => {
             let record: NodeRecord =

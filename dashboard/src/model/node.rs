@@ -4,10 +4,14 @@ use super::{
     history::{Doing, History},
     limits::{CLOCK_EVERY_S, CLOCKS_MAX, SAMPLES_MAX, STALE_AFTER_S},
     ring::Ring,
+    setup::SetupState,
 };
-use crate::message::Moment;
+use crate::{
+    message::{Answer, Moment},
+    request::Ticket,
+};
 use keys::{
-    AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Status, Vitals,
+    AXES_MAX, AxisStatus, JobId, LocalMicros, NodeId, Setup, Status, Vitals,
     record::{ClockRecord, LinkRecord, NodeRecord, NodeWord, PaceRecord},
 };
 
@@ -80,6 +84,7 @@ pub struct Node {
     record: Option<(Moment, NodeRecord)>,
     status: Option<(Moment, Status)>,
     vitals: Option<(Moment, Vitals)>,
+    setup: SetupState,
     samples: Ring<Sample, SAMPLES_MAX>,
     clocks: Ring<ClockSample, CLOCKS_MAX>,
     travels: Ring<TravelSample, CLOCKS_MAX>,
@@ -97,6 +102,7 @@ impl Node {
             record: None,
             status: None,
             vitals: None,
+            setup: SetupState::default(),
             samples: Ring::default(),
             clocks: Ring::default(),
             travels: Ring::default(),
@@ -326,6 +332,38 @@ impl Node {
     /// Returns how its chip was, and when it said so.
     pub fn vitals(&self) -> Option<&(Moment, Vitals)> {
         self.vitals.as_ref()
+    }
+
+    /// Takes how it is set.
+    pub(super) fn set_setup(&mut self, at: Moment, setup: Box<Setup>) {
+        let boot = self.boot();
+        self.setup.tell(at, boot, setup);
+    }
+
+    /// Takes that it is asked how it is set.
+    pub(super) fn ask_setup(&mut self, ticket: Ticket, at: Moment) {
+        let boot = self.boot();
+        self.setup.ask(ticket, at, boot);
+    }
+
+    /// Takes an answer and returns whether it belongs to that question.
+    pub(super) fn answer_setup(&mut self, ticket: Ticket, answer: &Answer) -> bool {
+        self.setup.answer(ticket, answer)
+    }
+
+    pub(super) fn setup_is_due(&self) -> bool {
+        let boot = self.boot().filter(|_| self.is_there());
+        boot.is_some_and(|boot| self.setup.is_due(boot, self.listened_from))
+    }
+
+    /// Returns how it is set, as far as it was asked.
+    pub fn setup(&self) -> &SetupState {
+        &self.setup
+    }
+
+    /// Returns the number of its present boot, by its own latest word.
+    pub fn boot(&self) -> Option<u32> {
+        self.latest_status().map(|status| status.queue.boot)
     }
 
     /// Returns number and words of its last fault.

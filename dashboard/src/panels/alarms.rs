@@ -2,7 +2,10 @@
 
 use super::table::table_ui;
 use crate::{
-    model::{Model, alarms::Alarm},
+    model::{
+        Model,
+        alarms::{Alarm, Cause},
+    },
     request::{Request, Requests},
     sound::Sound,
     text,
@@ -139,7 +142,8 @@ fn node_ui(ui: &mut Ui, alarm: &Alarm, view: &mut View) {
 fn now_badge(model: &Model, alarm: &Alarm) -> Badge {
     let (icon, word, tone) = match alarm.over {
         Some(_) => ("✔", "over", Tone::Quiet),
-        None if model.link().is_up() => ("●", "open", Tone::Bad),
+        // Of nodes nobody knows without a link; that there is none, everybody.
+        None if model.link().is_up() || alarm.cause == Cause::Link => ("●", "open", Tone::Bad),
         None => ("?", "unknown", Tone::Warn),
     };
     Badge { icon, word, tone }

@@ -1,23 +1,25 @@
 //! Writing a job and sending it: for whom, the text with the place of its first error, what it would
 //! do, the receipts.
 
+mod file;
+
+pub use file::{open_dropped, take_dropped, take_opened};
+
 use super::{
-    chooser::Purpose,
     editor, preview,
     reach::{Reach, reach_ui},
 };
 use crate::{
     estimate::{Estimate, estimate},
-    files::is_capture,
     lua::{self, Verdict},
-    message::{Answer, FileOutcome},
+    message::Answer,
     model::{Model, jobs::Sent, select::Pattern},
     request::{Language, Request, Requests, Target, Ticket},
     syntax, text,
     theme::{self, Tone},
     view::{Tab, View},
 };
-use egui::{Panel, Rect, ScrollArea, TextEdit, Ui};
+use egui::{Panel, ScrollArea, TextEdit, Ui};
 use keys::{
     NodeId,
     job::{JobRequest, Work},
@@ -57,8 +59,13 @@ pub struct ComposerView {
     pub sent: Option<Ticket>,
     #[serde(skip)]
     opening: Option<Ticket>,
+    /// Why the file that was to be opened last is not what is below.
+    #[serde(skip)]
+    not_opened: Option<String>,
     #[serde(skip)]
     dropped: Option<String>,
+    #[serde(skip)]
+    dropped_more: usize,
     #[serde(skip)]
     dropped_on_row: bool,
     #[serde(skip)]
@@ -97,7 +104,9 @@ impl Default for ComposerView {
             file: String::new(),
             sent: None,
             opening: None,
+            not_opened: None,
             dropped: None,
+            dropped_more: 0,
             dropped_on_row: false,
             drop_note: None,
             checked: None,
@@ -128,23 +137,16 @@ impl ComposerView {
             Language::Json => self.text = without_id(&sent.payload),
             Language::Lua => self.script.clone_from(&sent.payload),
         }
-        self.sent = None;
+        (self.sent, self.opening, self.not_opened) = (None, None, None);
     }
 
-    /// Takes a file that was dropped on a node's row.
-    pub fn drop_on(&mut self, ui: &Ui, row: Rect, node: NodeId) {
-        let pointer = ui.input(|input| input.pointer.latest_pos());
-        if self.dropped.is_some() && pointer.is_some_and(|at| row.contains(at)) {
-            self.target = node.as_str().to_owned();
-            self.to_selection = false;
-            self.dropped_on_row = true;
+    /// Returns why what is below may not be what the operator means.
+    fn other_text(&self) -> Option<String> {
+        match (&self.opening, &self.not_opened) {
+            (Some(_), _) => Some("the file is still being opened".to_owned()),
+            (None, Some(_)) => Some("the file was not opened: this is another text".to_owned()),
+            (None, None) => None,
         }
-    }
-
-    /// Opens a file.
-    pub fn open_file(&mut self, path: String, requests: &mut Requests) {
-        self.file.clone_from(&path);
-        self.opening = Some(requests.push(Request::ReadFile { path }));
     }
 
     fn text_mut(&mut self) -> &mut String {
@@ -200,59 +202,6 @@ impl ComposerView {
     }
 }
 
-/// Notes a file that was dropped on the window in this frame.
-pub fn take_dropped(ui: &Ui, view: &mut View) {
-    let dropped = ui.input(|input| input.raw.dropped_files.first().cloned());
-    // A capture is the pulse inspector's, wherever it falls.
-    let job = dropped.filter(|file| !is_capture(file.path()));
-    view.composer.dropped = job.map(|file| file.path().display().to_string());
-}
-
-/// Opens the file that was dropped, for the node on whose row it fell, if on one.
-pub fn open_dropped(ui: &Ui, view: &mut View, requests: &mut Requests) {
-    let on_row = std::mem::take(&mut view.composer.dropped_on_row);
-    let Some(path) = view.composer.dropped.take() else {
-        return;
-    };
-    // During a drag from elsewhere not every system tells where the pointer is.
-    let nowhere = ui.input(|input| input.pointer.latest_pos()).is_none();
-    view.composer.drop_note = (!on_row && nowhere).then(|| {
-        let focus = view.focus.filter(|_| view.selection.is_empty());
-        let nodes = focus.map_or_else(|| view.selection.clone(), |node| BTreeSet::from([node]));
-        view.composer.target_nodes(&nodes);
-        let whom = match (nodes.first(), nodes.len()) {
-            (None, _) => "no node is selected: say for whom it is".to_owned(),
-            (Some(node), 1) => format!("it is for {node}, which is selected"),
-            (_, count) => format!("it is for the {count} selected nodes"),
-        };
-        format!("⚠ the system did not tell where the file fell; {whom}")
-    });
-    view.tab = Tab::Compose;
-    view.composer.open_file(path, requests);
-}
-
-/// Takes a file that was read.
-fn take_opened(model: &Model, composer: &mut ComposerView) -> Option<String> {
-    let outcome = model.file(composer.opening?)?;
-    match outcome {
-        FileOutcome::Read { path, text } => {
-            let is_lua = std::path::Path::new(path)
-                .extension()
-                .is_some_and(|extension| extension.eq_ignore_ascii_case("lua"));
-            composer.language = if is_lua {
-                Language::Lua
-            } else {
-                Language::Json
-            };
-            composer.text_mut().clone_from(text);
-            (composer.opening, composer.sent) = (None, None);
-            None
-        }
-        FileOutcome::Failed(why) => Some(why.clone()),
-        FileOutcome::Written { .. } => None,
-    }
-}
-
 fn without_id(payload: &str) -> String {
     type Object = serde_json::Map<String, serde_json::Value>;
     let Ok(mut job) = serde_json::from_str::<Object>(payload) else {
@@ -271,7 +220,7 @@ fn without_id(payload: &str) -> String {
 pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<Ticket, String> {
     let reach = Reach::of(model, view);
     let checked = view.composer.check(&reach.start_steps(model));
-    if let Some(why) = refusal(model, &reach, &checked) {
+    if let Some(why) = refusal(model, &view.composer, &reach, &checked) {
         return Err(why);
     }
     let ticket = requests.push(Request::Submit {
@@ -285,7 +234,6 @@ pub fn send(model: &Model, view: &mut View, requests: &mut Requests) -> Result<T
 
 /// Shows the composer.
 pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests) {
-    let failed = take_opened(model, &mut view.composer);
     let reach = Reach::of(model, view);
     let checked = view.composer.check(&reach.start_steps(model));
     ui.horizontal_wrapped(|ui| {
@@ -300,7 +248,7 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
             .labelled_by(label.id);
         let words = format!("Selection ({})", view.selection.len());
         ui.checkbox(&mut composer.to_selection, words);
-        let why = refusal(model, &reach, &checked);
+        let why = refusal(model, composer, &reach, &checked);
         let button = ui.add_enabled(why.is_none(), egui::Button::new("Send job"));
         let button = button.on_disabled_hover_text(why.unwrap_or_default());
         if button.clicked() {
@@ -310,7 +258,7 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
         reach_ui(ui, model, &reach);
         check_ui(ui, &checked);
     });
-    file_ui(ui, view, requests, failed);
+    file::file_ui(ui, view, requests);
     sent_ui(ui, model, view);
     if let Some(estimate) = &checked.estimate {
         Panel::right("preview")
@@ -322,8 +270,13 @@ pub fn composer_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut R
 }
 
 /// Returns why the job cannot be sent.
-fn refusal(model: &Model, reach: &Reach, checked: &Checked) -> Option<String> {
-    if let Some(why) = no_way(model) {
+fn refusal(
+    model: &Model,
+    composer: &ComposerView,
+    reach: &Reach,
+    checked: &Checked,
+) -> Option<String> {
+    if let Some(why) = no_way(model).or_else(|| composer.other_text()) {
         return Some(why);
     }
     let job = match (&reach.target, &checked.outcome) {
@@ -354,37 +307,6 @@ pub(super) fn no_way(model: &Model) -> Option<String> {
     } else {
         None
     }
-}
-
-fn file_ui(ui: &mut Ui, view: &mut View, requests: &mut Requests, failed: Option<String>) {
-    ui.horizontal_wrapped(|ui| {
-        let composer = &mut view.composer;
-        let label = ui.label("File");
-        let edit = TextEdit::singleline(&mut composer.file)
-            .hint_text("path, or drop a file on a node or here")
-            .desired_width(260.0);
-        ui.add(edit).labelled_by(label.id);
-        let named = !composer.file.trim().is_empty();
-        if ui
-            .add_enabled(named, egui::Button::new("Open file"))
-            .clicked()
-        {
-            let path = composer.file.trim().to_owned();
-            composer.drop_note = None;
-            composer.open_file(path, requests);
-        }
-        if ui.button("Choose job…").clicked() {
-            view.chooser.open(Purpose::Job, &composer.file);
-        }
-        if let Some(why) = failed {
-            ui.label(theme::toned(ui, Tone::Bad, format!("✖ {why}")));
-        } else if composer.opening.is_some() {
-            ui.label("⌛ opening");
-        }
-        if let Some(note) = &composer.drop_note {
-            ui.label(theme::toned(ui, Tone::Warn, note));
-        }
-    });
 }
 
 fn text_ui(ui: &mut Ui, composer: &mut ComposerView, place: Option<Range<usize>>) {

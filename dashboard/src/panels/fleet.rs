@@ -420,13 +420,11 @@ fn cell_text_ui(ui: &mut Ui, model: &Model, node: &Node, column: Column) {
         }
         _ => RichText::new(words(model, node, column)),
     };
-    // What a node that is gone said last is old; without a link, everything is.
-    let gone = !node.is_there() && !matches!(column, Column::State | Column::Heard);
-    let text = if gone || !model.link().is_up() {
-        // Slanted too: a colour alone is easily overlooked.
-        text.color(Tone::Quiet.color(ui)).italics()
-    } else {
-        text
+    // What a node that is gone or silent said last is old; without a link, everything is.
+    let old = !model.is_fresh(node) && !matches!(column, Column::State | Column::Heard);
+    let text = match old || !model.link().is_up() {
+        true => theme::aged(ui, text),
+        false => text,
     };
     let numbers = matches!(column, Column::Position | Column::Speed | Column::Queue);
     let text = if numbers { text.monospace() } else { text };

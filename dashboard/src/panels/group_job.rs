@@ -15,7 +15,7 @@ use egui::{Panel, ScrollArea, TextEdit, Ui};
 use keys::{
     GroupId, JobId, NodeId,
     job::{GROUP_NODES_MAX, GroupRequest},
-    record::{JobRecord, JobState},
+    record::{JobRecord, JobState, PartRecord},
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -29,6 +29,12 @@ const EDITOR_ROWS: usize = 6;
 
 /// The part that a node gets when it is added.
 const PART: &str = "{\"commands\":[\n  {\"ramp\":{\"axis\":0,\"steps\":2000,\"speed_hz\":1000,\"accel\":2000}}\n]}";
+
+/// How long behind its instant a start may go untold and still be taken for going on, s.
+const START_TOLD_WITHIN_S: f64 = 2.0;
+
+/// Nodes that are named when they are waited for; of more it is said how many.
+const NAMED_MAX: usize = 4;
 
 /// What the panel remembers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -410,13 +416,30 @@ fn sent_ui(ui: &mut Ui, model: &Model, view: &mut View) {
 /// Returns the words for the time until a start that is fixed; `None` when there is none, and when
 /// it is measured.
 pub(super) fn countdown(model: &Model, record: &JobRecord) -> Option<String> {
-    let starts = model.jobs().starts(&record.job)?;
-    let left_s = starts.since_s(model.now());
+    let starts = model.jobs().starts(&record.job);
+    let starts = starts.filter(|_| model.follows_jobs())?;
+    let (left_s, past_s) = (starts.since_s(model.now()), model.now().since_s(starts));
     Some(if left_s > 0.0 {
         format!("starts in {}", text::micros(left_s * 1e6))
-    } else {
+    } else if past_s < START_TOLD_WITHIN_S {
         "starts now".to_owned()
+    } else {
+        // The nodes tell it within a second; until then nobody knows whether it did.
+        format!(
+            "the start was due {} ago and is not told yet",
+            text::age(past_s)
+        )
     })
+}
+
+/// Returns the words for who is not ready yet: some names, and how many more.
+fn awaited(nodes: &[&NodeId]) -> String {
+    let named = nodes.iter().take(NAMED_MAX);
+    let names: Vec<&str> = named.map(|node| node.as_str()).collect();
+    match nodes.len().saturating_sub(NAMED_MAX) {
+        0 => names.join(", "),
+        more => format!("{} and {more} more", names.join(", ")),
+    }
 }
 
 /// Returns where a synchronized job is, from the first part sent to the measured skew.
@@ -427,12 +450,16 @@ pub fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
         words += &format!(", {error}");
     }
     let parts = record.parts.iter().flatten();
-    let ready = parts.clone().filter(|(id, part)| {
+    let is_ready = |(id, part): &(&NodeId, &PartRecord)| {
         let node = model.node(id);
         let waits = node.is_some_and(|node| node.word() == keys::record::NodeWord::Ready);
         part.state == JobState::Running || waits
-    });
-    let (ready, all) = (ready.count(), parts.count());
+    };
+    let all = parts.clone().count();
+    let missing: Vec<&NodeId> = parts
+        .filter(|part| !is_ready(part))
+        .map(|(id, _)| id)
+        .collect();
     match (&record.start, countdown(model, record)) {
         (Some(start), _) => {
             let (skew, error) = (start.skew_us, start.uncertainty_us);
@@ -444,8 +471,17 @@ pub fn progress(model: &Model, record: &JobRecord) -> (Tone, String) {
         }
         // Nothing is planned before all are.
         (None, Some(countdown)) => words += &format!(", all ready, {countdown}"),
-        (None, None) if !record.state.is_final() => words += &format!(", {ready} of {all} ready"),
+        (None, None) if !record.state.is_final() => {
+            words += &format!(", {} of {all} ready", all - missing.len());
+            if !missing.is_empty() {
+                words += &format!(", waiting for {}", awaited(&missing));
+            }
+        }
         (None, None) => {}
+    }
+    if !model.follows_jobs() && !record.state.is_final() {
+        words += "; as it was: no gateway tells of it now";
+        return (Tone::Quiet, words);
     }
     (badge.tone, words)
 }

@@ -43,6 +43,11 @@ fn saved_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Requests
             .filter(|node| pattern.matches(node.id().as_str()));
         let all = all.count();
         let shown = view.fleet.group.as_deref() == Some(saved);
+        // Without a link nobody knows who is there.
+        let there = match model.link().is_up() {
+            true => there.to_string(),
+            false => "?".to_owned(),
+        };
         let label = ui.selectable_label(shown, format!("{saved} ({there}/{all})"));
         let label = label.on_hover_text("nodes that are there / known nodes");
         if label.clicked() {

@@ -56,6 +56,11 @@ pub fn shown<'m>(model: &'m Model, view: &JobsView) -> Vec<&'m JobRecord> {
         .collect()
 }
 
+/// Without a gateway nobody knows what became since of a job that had not ended.
+fn is_old(model: &Model, record: &JobRecord) -> bool {
+    !model.follows_jobs() && !record.state.is_final()
+}
+
 fn is_for(record: &JobRecord, pattern: &Pattern) -> bool {
     let parts = record.parts.iter().flatten().map(|(node, _)| node);
     let mut nodes = record.node.iter().chain(parts);
@@ -105,6 +110,9 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             text::count(model.jobs().len(), "job")
         );
         ui.label(theme::toned(ui, Tone::Quiet, words));
+        if rows.iter().any(|record| is_old(model, record)) {
+            ui.label(theme::toned(ui, Tone::Warn, OLD));
+        }
         export_ui(ui, model, view, &rows, requests);
     });
     if let (false, Err(why)) = (
@@ -145,10 +153,8 @@ pub fn jobs_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
             4 => RichText::new(text::date_and_time(record.created)),
             _ => RichText::new(now_or_outcome(model, record)),
         };
-        // Without a link nobody knows what became of it since.
-        let old = !model.link().is_up() && !record.state.is_final();
-        Some(match old {
-            true => text.color(Tone::Quiet.color(ui)).italics(),
+        Some(match is_old(model, record) {
+            true => theme::aged(ui, text),
             false => text,
         })
     });
@@ -205,6 +211,9 @@ fn export_ui(
         Some(FileOutcome::Read { .. }) | None => {}
     }
 }
+
+/// What is said of jobs of which nobody tells any more.
+const OLD: &str = "⚠ as it was: no gateway tells of it now";
 
 const COLUMNS: [(&str, f32); 6] = [
     ("Job", 200.0),
@@ -279,7 +288,13 @@ fn detail_ui(
 ) {
     ui.horizontal_wrapped(|ui| {
         ui.heading(record.job.as_str());
-        theme::job_badge(record.state).show(ui);
+        let badge = theme::job_badge(record.state).text(ui);
+        if is_old(model, record) {
+            ui.label(theme::aged(ui, badge));
+            ui.label(theme::toned(ui, Tone::Warn, OLD));
+        } else {
+            ui.label(badge);
+        }
     });
     ui.horizontal_wrapped(|ui| {
         cancel_ui(ui, view, record, requests);

@@ -1,6 +1,6 @@
 //! One node's page: what it says about itself, its stop, its last minutes as plots, its log.
 
-use super::node_plots;
+use super::{node_plots, node_setup};
 use crate::{
     message::Answer,
     model::{Model, log::Source, node::Node},
@@ -10,11 +10,11 @@ use crate::{
     view::View,
 };
 use egui::{Grid, RichText, ScrollArea, TextStyle, Ui};
-use keys::{Features, StopMode, record::NodeWord};
+use keys::{StopMode, record::NodeWord};
 use serde::{Deserialize, Serialize};
 
 /// What stands where a value is wanted that nobody sends.
-const NOT_TOLD: &str = "not told";
+pub(super) const NOT_TOLD: &str = "not told";
 
 /// Vitals that are older show their age, s: a node tells them every ten seconds.
 const VITALS_OLD_S: f64 = 35.0;
@@ -127,16 +127,8 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         ui.label("nothing was heard of this node yet");
         return;
     };
+    // First, so that nothing that a node says moves what stops it.
     ui.horizontal_wrapped(|ui| {
-        theme::node_badge(node.word()).show(ui);
-        if let Some(concern) = model.concern(node)
-            && theme::concern_badge(concern).word != theme::node_badge(node.word()).word
-        {
-            theme::concern_badge(concern).show(ui);
-        }
-        if let Some(pace) = node.pace() {
-            ui.label(theme::toned(ui, Tone::Warn, text::pace(pace)));
-        }
         let stop = ui.add(theme::stop_button("Stop node"));
         let slow = ui.button("Slow stop node");
         for (button, mode) in [(stop, StopMode::Halt), (slow, StopMode::Decelerate)] {
@@ -149,6 +141,26 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         let release = egui::Button::new("Release node…");
         if ui.add_enabled(stopped, release).clicked() {
             view.stop.releasing = Some(Scope::node(id));
+        }
+    });
+    ui.horizontal_wrapped(|ui| {
+        let badge = theme::node_badge(node.word());
+        let concern = model.concern(node).map(theme::concern_badge);
+        let concern = concern.filter(|concern| concern.word != badge.word);
+        let is_fresh = model.is_fresh(node);
+        for (badge, is_known) in [(Some(badge), is_fresh), (concern, model.link().is_up())] {
+            let text = badge.map(|badge| badge.text(ui));
+            match text {
+                Some(text) if is_known => ui.label(text),
+                Some(text) => ui.label(theme::aged(ui, text)),
+                None => continue,
+            };
+        }
+        if !is_fresh {
+            ui.label(theme::toned(ui, Tone::Warn, old_words(model, node)));
+        }
+        if let Some(pace) = node.pace() {
+            ui.label(theme::toned(ui, Tone::Warn, text::pace(pace)));
         }
     });
     orders_ui(ui, model, node, &mut view.node, requests);
@@ -171,8 +183,19 @@ pub fn node_ui(ui: &mut Ui, model: &Model, view: &mut View, requests: &mut Reque
         Page::Path => node_plots::path_ui(ui, node, of_page),
         Page::Clock => node_plots::clock_ui(ui, model, node, of_page),
         Page::Lines => lines_ui(ui, model, node),
-        Page::Setup => scrolled(ui, |ui| setup_ui(ui, node)),
+        Page::Setup => scrolled(ui, |ui| node_setup::setup_ui(ui, model, node, requests)),
     });
+}
+
+/// Says that the page is about what was, and why.
+fn old_words(model: &Model, node: &Node) -> String {
+    let age = text::age(model.now().since_s(node.heard_at()));
+    let why = match (model.link().is_up(), node.is_there()) {
+        (false, _) => "there is no link",
+        (true, false) => "it is gone",
+        (true, true) => "it is silent",
+    };
+    format!("⚠ as it was {age} ago: {why}")
 }
 
 /// Shows what holds, resumes and slows the node's motion, and what became of it.
@@ -297,7 +320,7 @@ fn facts_ui(ui: &mut Ui, model: &Model, node: &Node) {
             facts.push(("stopped", format!("by {} at {at}", stopped.reason.as_str())));
         }
     }
-    facts_grid(ui, facts);
+    facts_grid(ui, "facts", facts);
 }
 
 /// Temperature, free heap and free stack, each with its age when the node has not said it for long.
@@ -333,23 +356,21 @@ fn vitals_facts(model: &Model, node: &Node) -> Vec<(&'static str, String)> {
     ]
 }
 
-fn facts_grid(ui: &mut Ui, facts: Vec<(&str, String)>) {
-    Grid::new("facts")
-        .num_columns(2)
-        .striped(true)
-        .show(ui, |ui| {
-            for (name, value) in facts {
-                ui.label(theme::toned(ui, Tone::Quiet, name));
-                let tone = if value == NOT_TOLD {
-                    Tone::Quiet
-                } else {
-                    Tone::Plain
-                };
-                let value = theme::toned(ui, tone, value);
-                ui.add(egui::Label::new(value).wrap());
-                ui.end_row();
-            }
-        });
+/// Shows names and what is known of each, under an id of its own.
+pub(super) fn facts_grid<N: Into<String>>(ui: &mut Ui, id: &str, facts: Vec<(N, String)>) {
+    Grid::new(id).num_columns(2).striped(true).show(ui, |ui| {
+        for (name, value) in facts {
+            ui.label(theme::toned(ui, Tone::Quiet, name));
+            let tone = if value == NOT_TOLD {
+                Tone::Quiet
+            } else {
+                Tone::Plain
+            };
+            let value = theme::toned(ui, tone, value);
+            ui.add(egui::Label::new(value).wrap());
+            ui.end_row();
+        }
+    });
 }
 
 fn faults_ui(ui: &mut Ui, node: &Node) {
@@ -406,45 +427,4 @@ fn lines_ui(ui: &mut Ui, model: &Model, node: &Node) {
                 ui.add(egui::Label::new(words).wrap_mode(egui::TextWrapMode::Extend));
             }
         });
-}
-
-fn setup_ui(ui: &mut Ui, node: &Node) {
-    let mut facts: Vec<(&str, String)> = vec![("name", node.id().to_string())];
-    if let Some(status) = node.latest_status() {
-        let [major, minor, patch] = status.firmware;
-        facts.push(("firmware", format!("{major}.{minor}.{patch}")));
-        facts.push(("axes", status.axes.len().to_string()));
-        let depth = status
-            .accepted_commands
-            .saturating_sub(status.executed_commands);
-        let room = depth.saturating_add(u64::from(status.credit_commands));
-        facts.push(("queue", format!("room for {room} commands")));
-        facts.push(("boot", format!("{:#x}", status.queue.boot)));
-        facts.push(("can do", features(status.features)));
-    } else if let Some(record) = node.latest_record() {
-        facts.push(("firmware", record.firmware.clone()));
-        facts.push(("axes", record.position.len().to_string()));
-        facts.push(("can do", NOT_TOLD.to_owned()));
-    }
-    facts_grid(ui, facts);
-    ui.separator();
-    let words = "Pins, limits and profiles of the axes are not told by the node: \
-                 they are in the settings that were written to it.";
-    ui.label(theme::toned(ui, Tone::Quiet, words));
-}
-
-/// Returns the names of what a firmware can do.
-fn features(features: Features) -> String {
-    const NAMES: [(Features, &str); 7] = [
-        (Features::BASIC, "moves"),
-        (Features::RAMPS, "ramps and lines"),
-        (Features::SMOOTH, "smoothstep"),
-        (Features::HOMING, "homing"),
-        (Features::BARRIERS, "synchronized starts"),
-        (Features::LUA, "Lua"),
-        (Features::CD, "CD moves"),
-    ];
-    let known = NAMES.iter().filter(|(feature, _)| features.has(*feature));
-    let names: Vec<&str> = known.map(|(_, name)| *name).collect();
-    names.join(", ")
 }

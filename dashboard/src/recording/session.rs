@@ -176,6 +176,7 @@ impl Session {
             Request::Submit { target, .. } => format!("job for {target}"),
             Request::Cancel { job } => format!("cancel of {job}"),
             Request::Order { node, order } => format!("{order} of {node}"),
+            Request::Setup { node } => format!("question to {node}"),
             Request::Refresh => "refresh".to_owned(),
             Request::Connect { .. } => "connecting elsewhere".to_owned(),
         };

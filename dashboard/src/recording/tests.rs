@@ -34,6 +34,26 @@ fn status() -> Message {
 }
 
 #[test]
+fn a_recording_begins_with_how_nodes_are_set_but_not_with_what_they_told_before_another_boot() {
+    let mut live = Model::default();
+    live.apply(at_ms(0), status());
+    let (node, setup) = (node(), Box::new(keys::Setup::default()));
+    live.apply(at_ms(0), Message::Setup { node, setup });
+    let told = |live: &Model| {
+        let messages = picture(live).into_iter();
+        let setups = messages.filter(|message| matches!(message, Message::Setup { .. }));
+        setups.count()
+    };
+    assert_eq!(told(&live), 1);
+    let mut anew = status();
+    if let Message::Status { status, .. } = &mut anew {
+        status.queue.boot = 2;
+    }
+    live.apply(at_ms(1), anew);
+    assert_eq!(told(&live), 0);
+}
+
+#[test]
 fn what_is_recorded_is_replayed_to_the_same_picture() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("session.jsonl");

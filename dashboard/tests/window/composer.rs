@@ -5,7 +5,7 @@ use crate::screen::{Window, asked, button, click, do_files, picture_of, show, sh
 use dashboard::{
     app::Dashboard,
     message::{Answer, FileOutcome, Message},
-    request::{Language, Request, Target},
+    request::{Language, Request, Target, Ticket},
     view::Tab,
 };
 use egui::Role;
@@ -154,6 +154,40 @@ fn a_file_that_cannot_be_read_says_why_and_leaves_the_text() {
     do_files(&mut screen);
     assert!(shows(&screen, "✖ /nowhere/at/all.json"));
     assert_eq!(screen.state().view.composer.text, SQUARE);
+    button(&mut screen, "Send job");
+    assert_eq!(asked(&mut screen), [], "it is not what was to be opened");
+    button(&mut screen, "Keep the text below");
+    button(&mut screen, "Send job");
+    assert_eq!(asked(&mut screen).len(), 1);
+}
+
+#[test]
+fn nothing_is_sent_while_a_file_is_being_opened_whatever_else_is_written_meanwhile() {
+    let mut screen = show(composing("cell-a-2", SQUARE));
+    screen.state_mut().view.composer.file = "jobs/later.json".to_owned();
+    screen.run_steps(2);
+    button(&mut screen, "Open file");
+    let (ticket, _) = asked(&mut screen)[0];
+    button(&mut screen, "Send job");
+    assert_eq!(asked(&mut screen), [], "the text is that of before");
+    // Read while another tab is open, and a history is written right behind it.
+    screen.state_mut().view.tab = dashboard::view::Tab::Jobs;
+    let outcome = FileOutcome::Read {
+        path: "jobs/later.json".to_owned(),
+        text: "{\"later\":1}".to_owned(),
+    };
+    let read = Message::File { ticket, outcome };
+    tell(screen.state_mut(), at_ms(1_000), read);
+    screen.run_steps(1);
+    let (ticket, path) = (Ticket(1_000), "history.csv".to_owned());
+    let outcome = FileOutcome::Written { path };
+    let written = Message::File { ticket, outcome };
+    tell(screen.state_mut(), at_ms(1_000), written);
+    screen.run_steps(1);
+    screen.state_mut().view.tab = dashboard::view::Tab::Compose;
+    screen.run_steps(2);
+    assert_eq!(screen.state().view.composer.text, "{\"later\":1}");
+    assert!(!shows(&screen, "⌛ opening"));
 }
 
 #[derive(Debug)]
@@ -216,6 +250,21 @@ fn where_the_system_tells_no_place_a_dropped_file_is_for_what_is_selected_and_sa
     assert!(shows(&screen, "it is for the 2 selected nodes"));
     let screen = drop(&|_| {});
     assert!(shows(&screen, "no node is selected: say for whom it is"));
+}
+
+#[test]
+fn of_several_dropped_files_one_is_opened_and_the_others_are_not_passed_over_in_silence() {
+    let mut screen = show(fleet());
+    for _ in 0..3 {
+        let file = std::sync::Arc::new(Dropped);
+        screen.input_mut().dropped_files.push(file);
+    }
+    screen.run_steps(1);
+    opened(&mut screen, SQUARE);
+    assert!(shows(
+        &screen,
+        "one job at a time: 2 other files not opened"
+    ));
 }
 
 #[test]

@@ -125,7 +125,7 @@ fn start(planned_ms: u64, by_node_us: &[(&str, f64)]) -> StartRecord {
 fn a_synchronized_job_is_followed_from_ready_to_the_measured_skew() {
     let mut screen = sent();
     told(&mut screen, 4, record(JobState::Sent, None));
-    assert!(shows(&screen, "1 of 2 ready"));
+    assert!(shows(&screen, "1 of 2 ready, waiting for cell-a-"));
     told(&mut screen, 5, ready());
     tell(screen.state_mut(), at_ms(1_000), Message::StartPlan(plan()));
     screen.run_steps(2);
@@ -138,6 +138,13 @@ fn a_synchronized_job_is_followed_from_ready_to_the_measured_skew() {
     screen.state_mut().model.tick(at_ms(1_501));
     screen.run_steps(2);
     assert!(shows(&screen, "starts now"));
+    // Whatever became of it, it does not start now any more.
+    screen.state_mut().model.tick(at_ms(3_600));
+    screen.run_steps(2);
+    assert!(shows(
+        &screen,
+        "the start was due 2.1 s ago and is not told yet"
+    ));
     let measured = start(900, &[("cell-a-2", 0.0), ("cell-a-3", 38.2)]);
     told(&mut screen, 6, record(JobState::Running, Some(measured)));
     assert!(shows(&screen, "started 38 µs apart ± 55 µs"));

@@ -10,6 +10,8 @@ mod composer;
 mod groups;
 mod history;
 mod node_page;
+mod node_setup;
+mod old;
 mod panels;
 mod pulses;
 mod recording;

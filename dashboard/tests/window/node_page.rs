@@ -77,38 +77,36 @@ fn page(page: Page) -> Window {
     window
 }
 
-#[test]
-fn temperature_heap_and_stack_are_shown_with_their_age_when_they_are_old() {
+/// The same with the vitals of its board.
+fn circle_with_vitals() -> Dashboard {
     let mut dashboard = circle();
     let vitals = Vitals {
         chip_celsius: Some(52),
         internal_free_bytes: Some(40_000),
         psram_free_bytes: Some(7_340_032),
         network_stack_free_bytes: Some(12_288),
+        planning_stack_free_bytes: Some(6_144),
         ..Vitals::default()
     };
     let node = node("laser-1");
-    tell(
-        &mut dashboard,
-        at_ms(10_000),
-        Message::Vitals { node, vitals },
-    );
-    let window = show(dashboard);
+    let told = Message::Vitals { node, vitals };
+    tell(&mut dashboard, at_ms(10_000), told);
+    dashboard
+}
+
+#[test]
+fn temperature_heap_and_stack_are_shown_with_their_age_when_they_are_old() {
+    let window = show(circle_with_vitals());
     for words in [
         "52 °C",
         "39.1 KiB inside, 7.0 MiB outside",
-        "12.0 KiB network",
+        "12.0 KiB network, 6.0 KiB planning",
     ] {
         assert!(shows(&window, words), "{words}");
     }
-    let mut dashboard = circle();
-    tell(
-        &mut dashboard,
-        at_ms(10_000),
-        Message::Vitals { node, vitals },
-    );
+    let mut dashboard = circle_with_vitals();
     let quiet = Message::Log {
-        node,
+        node: node("laser-1"),
         text: "still here".to_owned(),
     };
     tell(&mut dashboard, at_ms(60_000), quiet);
@@ -311,30 +309,13 @@ fn picture_of_page(name: &str, page: Page) {
 #[test]
 fn picture_of_the_overview() {
     picture("node_overview", |theme| {
-        let mut dashboard = circle();
-        let vitals = Vitals {
-            chip_celsius: Some(52),
-            internal_free_bytes: Some(40_000),
-            psram_free_bytes: Some(7_340_032),
-            network_stack_free_bytes: Some(12_288),
-            planning_stack_free_bytes: Some(6_144),
-            ..Vitals::default()
-        };
-        let node = node("laser-1");
-        let told = Message::Vitals { node, vitals };
-        tell(&mut dashboard, at_ms(10_000), told);
-        show_in(dashboard, theme, SIZE)
+        show_in(circle_with_vitals(), theme, SIZE)
     });
 }
 
 #[test]
 fn picture_of_the_lines() {
     picture_of_page("node_lines", Page::Lines);
-}
-
-#[test]
-fn picture_of_the_setup() {
-    picture_of_page("node_setup", Page::Setup);
 }
 
 #[test]

@@ -360,22 +360,6 @@ fn a_synchronized_job_shows_parts_and_skew() {
 }
 
 #[test]
-fn a_lost_link_makes_everything_old() {
-    let mut harness = show(fleet());
-    let why = "the router is gone".to_owned();
-    let down = Message::Link(LinkEvent::Down { why });
-    tell(harness.state_mut(), at_ms(1_000), down);
-    harness.state_mut().model.tick(at_ms(13_000));
-    harness.run_steps(2);
-    assert!(shows(&harness, "no link for 12 s: what you see is old"));
-    harness.state_mut().view.tab = Tab::Compose;
-    harness.state_mut().view.composer.target = "*".to_owned();
-    harness.run_steps(2);
-    button(&mut harness, "Send job");
-    assert_eq!(asked(&mut harness), []);
-}
-
-#[test]
 fn ten_thousand_lines_are_filtered() {
     let mut dashboard = fleet();
     for number in 0..10_000 {

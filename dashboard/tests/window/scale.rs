@@ -2,10 +2,10 @@
 //! wide screen.
 
 use crate::{
-    fixture::{fleet, node},
+    fixture::{at_ms, fleet, node, tell},
     screen::{Window, picture, show, show_at},
 };
-use dashboard::{app::Dashboard, panels::node::Page, view::Tab};
+use dashboard::{app::Dashboard, message::Message, panels::node::Page, view::Tab};
 use egui::{
     Key, Modifiers, Theme,
     accesskit::{Action, Role},
@@ -26,6 +26,9 @@ fn everything() -> impl Iterator<Item = (String, Dashboard)> {
         if let Some(page) = page {
             dashboard.view.focus = Some(node("cell-a-1"));
             dashboard.view.node.page = page;
+            let setup = Box::new(crate::node_setup::setup());
+            let node = node("cell-a-1");
+            tell(&mut dashboard, at_ms(1_000), Message::Setup { node, setup });
         }
         (name, dashboard)
     })

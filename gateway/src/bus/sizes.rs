@@ -16,7 +16,7 @@ pub const SMALL_BYTES_MAX: usize = 4_096;
 pub const SCRIPT_MESSAGE_BYTES_MAX: usize = 2 * keys::script::SCRIPT_BYTES_MAX;
 
 /// What is small. Of jobs, scripts and firmware the others.
-const SMALL: [NodeTopic; 15] = [
+const SMALL: [NodeTopic; 16] = [
     NodeTopic::State,
     NodeTopic::Release,
     NodeTopic::Log,
@@ -32,6 +32,7 @@ const SMALL: [NodeTopic; 15] = [
     NodeTopic::Speed,
     NodeTopic::Trace,
     NodeTopic::Vitals,
+    NodeTopic::Setup,
 ];
 
 /// Returns zenoh's setting `low_pass_filter`.

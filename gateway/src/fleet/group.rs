@@ -16,9 +16,11 @@
 //!
 //! Absent on purpose: the conversation of a start (`start`), the record (`job::group`).
 
+mod measure;
 mod parts;
 mod submit;
 
+use measure::measuring_until;
 pub(super) use parts::new_part;
 pub use parts::parts_of;
 
@@ -44,10 +46,6 @@ pub(super) const MAX_SKEW_US: f64 = 1_000.0;
 
 /// How long nodes have to become ready when a client says nothing, ms.
 pub(super) const READY_TIMEOUT_MS: f64 = 5_000.0;
-
-/// How long the record of a job whose parts have all succeeded waits for the measurement of its
-/// start, µs: nodes tell it five times, 200 ms apart.
-pub(super) const MEASURING_US: u64 = 1_200_000;
 
 /// What a synchronized job in memory needs beside its [`Job`].
 #[derive(Debug)]
@@ -474,32 +472,6 @@ impl Fleet {
         steps
     }
 
-    /// Takes the nodes' measurement into the record, and lets a record go that waits for it.
-    fn measure_start(&mut self, id: &JobId, effects: &mut Vec<Effect>) {
-        let Some(job) = self.book.get(id).filter(|job| !job.state().is_final()) else {
-            return;
-        };
-        let done = |part: &Job| part.state() == JobState::Succeeded;
-        let all_done = job.parts.values().all(done);
-        let start = self.groups.get(id).and_then(|group| group.start.as_ref());
-        let measured = start.and_then(Start::measured);
-        if job.measuring
-            && job.has_started()
-            && let Some(measured) = measured
-        {
-            self.book.prepare_whole(id, |job| {
-                job.measuring = false;
-                job.entry.record.start = Some(Box::new(measured));
-            });
-            self.book.gather(id, self.now, effects);
-        } else if all_done
-            && (!job.measuring || job.entry.ending.is_some() || self.now >= measuring_until(job))
-        {
-            self.book.prepare_whole(id, |job| job.measuring = false);
-            self.book.gather(id, self.now, effects);
-        }
-    }
-
     fn group_due(&self, id: &JobId) -> Option<FleetMicros> {
         let job = self.book.get(id)?;
         let start = self.groups.get(id).and_then(|group| group.start.as_ref());
@@ -514,9 +486,4 @@ impl Fleet {
         .flatten()
         .min()
     }
-}
-
-fn measuring_until(job: &Job) -> FleetMicros {
-    let ends = job.parts.values().map(|part| part.entry.record.updated);
-    ends.max().unwrap_or_default().plus_us(MEASURING_US)
 }

@@ -15,8 +15,8 @@
 //! - What must be heard (a cancel, a remembered stop, a release) is repeated until its effect is
 //!   seen; all three are named by the queue that they are for, so a late one does nothing.
 //!
-//! Here: what is known and what clients want. `hear`: what the node says. `act`: what is due.
-//! `show`: what clients see.
+//! Here: what is known and what clients want. `hear`: what the node says. `latch`: stops and releases.
+//! `act`: what is due. `show`: what clients see.
 //!
 //! Absent on purpose: how a node executes; whose job it is; UTC on a node (only stamps that a
 //! client reads are converted, here).
@@ -24,6 +24,7 @@
 mod act;
 mod facts;
 mod hear;
+mod latch;
 mod pace;
 mod show;
 mod turn;
@@ -51,9 +52,6 @@ const REPLACED_BOOTS_MAX: usize = 8;
 
 /// Clock probes that may be unanswered; the oldest is given up for a new one.
 const PROBES_MAX: usize = 16;
-
-/// Gets that may wait for one release.
-const RELEASE_WAITERS_MAX: usize = 64;
 
 /// A boot that was replaced and speaks on: another controller has the same name.
 #[derive(Clone, Copy, Debug)]
@@ -464,64 +462,6 @@ impl Node {
             let change = Change::to(JobState::Failed).error(error.clone());
             turn.book
                 .change(&id, self.id, change, turn.now, turn.effects);
-        }
-    }
-
-    /// Somebody stopped this node: nothing that waits may move after a release.
-    pub(super) fn handle_stop(&mut self, mode: StopMode, turn: &mut Turn<'_>) {
-        let error = JobError::new(
-            ErrorCode::Stopped,
-            "the node was stopped (client) before the job began",
-        );
-        self.fail_waiting(&error, turn);
-        self.stale_record = true;
-        let latched = self.alive && self.facts.latch.is_some();
-        if !latched && self.facts.pending_stop != Some(StopMode::Halt) {
-            self.facts.pending_stop = Some(mode);
-            // It has heard the message itself, if it is there: only a missing latch is a reason
-            // to repeat it.
-            self.stop = Repeat {
-                send_at: self
-                    .alive
-                    .then(|| turn.now.plus_us(turn.config.stop_repeat_us)),
-                sent_count: 0,
-            };
-            self.store(turn);
-        }
-        if let Some(wish) = self.release.take() {
-            self.refuse_release(wish, "the node was stopped again", turn);
-        }
-        self.refuse_wish(ErrorCode::Stopped, "the node was stopped", turn);
-    }
-
-    /// Somebody wants the latch lifted; `reply` is answered when it is, or when it cannot be.
-    pub(super) fn handle_release(&mut self, reply: Option<ReplyTo>, turn: &mut Turn<'_>) {
-        if !self.is_stopped() {
-            turn.released.extend(reply.map(Released::done));
-            return;
-        }
-        let wish = self.release.get_or_insert_with(|| ReleaseWish {
-            give_up_at: turn.now.plus_us(turn.config.release_patience_us),
-            send_at: turn.now,
-            waiters: Vec::new(),
-        });
-        if let Some(reply) = reply {
-            if wish.waiters.len() >= RELEASE_WAITERS_MAX {
-                let error = JobError::new(
-                    ErrorCode::TooLarge,
-                    "too many releases of this node wait for an answer",
-                );
-                turn.released.push(Released::refused(reply, error));
-                return;
-            }
-            wish.waiters.push(reply);
-        }
-    }
-
-    fn refuse_release(&mut self, wish: ReleaseWish, message: &str, turn: &mut Turn<'_>) {
-        for to in wish.waiters {
-            let error = JobError::new(ErrorCode::NotAllowed, message);
-            turn.released.push(Released::refused(to, error));
         }
     }
 }

@@ -2,9 +2,9 @@
 //!
 //! | | says | hears |
 //! |---|---|---|
-//! | operator | jobs, cancels, stops, releases, holds, speeds, jogs, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, vitals, records, logs, data |
+//! | operator | jobs, cancels, stops, releases, holds, speeds, jogs, stored scripts, firmware, labels, maintenance, order of jobs, backups | states, statuses, vitals, setups, records, logs, data |
 //! | viewer | stops | the same |
-//! | node | its own status, ack, clock, start, pace, trace, vitals, log, report, data | its own orders, and every stop |
+//! | node | its own status, ack, clock, start, pace, trace, vitals, setup, log, report, data | its own orders, and every stop |
 //! | gateway | everything | everything |
 //!
 //! **Stops.** The router lets a message pass if a rule's key includes its key. So a stop may be said on
@@ -110,7 +110,8 @@ pub fn access_control(keys: &Keys, users: &[User]) -> Value {
     // What it hears is limited where it is said to it; so it may ask for anything.
     rules.add("ask", &["ingress"], &asks, vec![all]);
     rules.add("alive", &["egress"], &["liveliness_token"], alive);
-    let mut read = each(&[NodeTopic::State]);
+    // The node itself answers for its setup.
+    let mut read = each(&[NodeTopic::State, NodeTopic::Setup]);
     read.extend(jobs);
     read.push(format!("{prefix}/manage/link/*"));
     rules.add("read", &["ingress"], &["query"], read.clone());
@@ -253,12 +254,13 @@ impl Rules {
         // Other firmware is asked for, on one key.
         asked.push(keys.every_node(NodeTopic::Update).to_string());
         asked.push(keys.every_node(NodeTopic::Jog).to_string());
+        asked.push(keys.every_node(NodeTopic::Setup).to_string());
         let mut said = own(&SAID);
         said.push(format!("{}/**", keys.node(name, NodeTopic::Data)));
         let mut listened = own(&HEARD);
         listened.extend(scripts.clone());
         let mut kept = scripts;
-        kept.extend(own(&[NodeTopic::Update, NodeTopic::Jog]));
+        kept.extend(own(&[NodeTopic::Update, NodeTopic::Jog, NodeTopic::Setup]));
         let verbs = ["says", "lives", "listens", "hears", "keeps", "asked"];
         let ids = verbs.map(|verb| format!("{name}-{verb}"));
         let [says, lives, listens, hears, keeps, asks] = &ids;

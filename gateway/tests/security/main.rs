@@ -140,6 +140,12 @@ async fn a_viewer_looks_on_and_stops_and_can_do_nothing_else() {
     until(&bob, "left", |record| record.alive).await;
     let travels = ask(&bob, "fleet/manage/link/left", None).await;
     assert!(travels.iter().any(Result::is_ok), "{travels:?}");
+    // The node itself says how it is set, but not what its password is.
+    let setup = ask(&bob, "fleet/node/*/setup", None).await;
+    let setup = setup[0].as_ref().expect("a viewer may");
+    assert_eq!(setup["link"]["user"], json!("left"));
+    let password = &plant.credentials("left").password;
+    assert!(!setup.to_string().contains(password.as_str()));
     put(&bob, "fleet/node/left/job", job("bobs").to_string()).await;
     put(&bob, "fleet/group/g/job", "{}").await;
     put(&bob, "fleet/node/left/speed", "{\"percent\":50}").await;

@@ -5,7 +5,7 @@
 use emulator::{EmulatedHandle, EmulatorConfig, Recording, oracle, scout::ScoutConfig, spawn};
 use keys::{
     AxisId, BatchAck, BatchHeader, Command, JobId, Keys, NodeId, NodeState, NodeTopic, Order,
-    QueueId, Status, Verdict,
+    QueueId, Setup, Status, Verdict,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     clock::{ClockMessage, ClockProbe},
     version,
@@ -394,6 +394,23 @@ async fn vitals_are_said_when_the_link_comes_and_each_ten_seconds_behind_it() {
     assert!(second.at.since_us(first.at) >= VITALS_US);
     assert!(second.uptime_s >= Some(uptime_s + 10));
     let _ = node.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_node_itself_answers_who_asks_for_its_setup_by_its_name_or_a_wild_key() {
+    let bench = Bench::new("left", |config| config.ring_commands = 77).await;
+    for asked in ["fleet/node/left/setup", "fleet/node/*/setup"] {
+        let replies = bench.router.get(asked).await.expect("asked");
+        let reply = replies.recv_async().await.expect("answered");
+        let sample = reply.result().expect("no error");
+        assert_eq!(sample.key_expr().as_str(), "fleet/node/left/setup");
+        let setup = Setup::from_json(&sample.payload().to_bytes()).expect("a setup");
+        assert_eq!(setup.name, Some(bench.name));
+        assert_eq!(setup.ring_commands, 77);
+        assert!(setup.link.router.starts_with("tcp/127.0.0.1:"));
+        assert!(replies.recv_async().await.is_err(), "answered once");
+    }
+    let _ = bench.node.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

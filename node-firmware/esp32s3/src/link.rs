@@ -8,7 +8,7 @@ use crate::{
     secure::{Reader, Writer, secure},
     vitals::Gauges,
 };
-use alloc::{boxed::Box, rc::Rc, string::ToString, vec};
+use alloc::{boxed::Box, rc::Rc, string::ToString, vec, vec::Vec};
 use core::{cell::RefCell, future::poll_fn, pin::pin, sync::atomic::Ordering};
 use embassy_net::{IpAddress, IpEndpoint, Stack, dns::DnsQueryType, tcp::TcpSocket};
 use embassy_time::{Instant, Timer};
@@ -43,6 +43,8 @@ struct Remote {
     outgoing: Consumer<'static, Outbound>,
     shelf: Shelf,
     gauges: Gauges,
+    /// What the node tells of itself.
+    setup: Vec<u8>,
     /// Takes other firmware; `None` if its journal is broken.
     keeper: Option<BoardKeeper>,
 }
@@ -144,6 +146,10 @@ impl Host for Remote {
 
     fn vitals(&mut self, now: LocalMicros) -> Vitals {
         self.gauges.read(now)
+    }
+
+    fn setup(&self) -> Vec<u8> {
+        self.setup.clone()
     }
 }
 
@@ -277,6 +283,7 @@ pub(crate) async fn run(
     keeper: Option<BoardKeeper>,
     shelf: Shelf,
     gauges: Gauges,
+    setup: Vec<u8>,
 ) {
     let credentials = record.login.as_ref().map(|login| pico::Credentials {
         user: login.user.to_string(),
@@ -295,6 +302,7 @@ pub(crate) async fn run(
             outgoing,
             shelf,
             gauges,
+            setup,
             keeper,
         },
         link,

@@ -71,8 +71,11 @@ use esp_wifi::wifi::{ControllerConfig, Interface, WifiController};
 use heapless::{Vec, spsc::Queue};
 use keys::{Keys, command::COMMAND_WORDS};
 use motion::{MotionConfig, PlanMemory, io::input::INPUTS_MAX};
-use node::{Node, NodeConfig, Outbound};
-use provision::{Dialogue, Found, PinUse, Record, Store, Wiring};
+use node::{
+    Node, NodeConfig, Outbound,
+    setup::{self, Surroundings},
+};
+use provision::{Dialogue, Found, PinUse, Record, Store, Wiring, record::NETWORKS_MAX};
 use static_cell::{ConstStaticCell, StaticCell};
 use update::{Keeper, Layout};
 
@@ -149,6 +152,32 @@ fn wire(record: &Record, found: Found) -> bool {
     board::wire(&record.wiring, &record.machine);
     outputs::hold_low();
     true
+}
+
+/// What the node says that it runs on.
+const CHIP: &str = if cfg!(feature = "esp32c6") {
+    "ESP32-C6"
+} else if cfg!(feature = "esp32s31") {
+    "ESP32-S31"
+} else {
+    "ESP32-S3"
+};
+
+/// Returns what the node tells of itself.
+#[inline(never)]
+fn setup_of(record: &Record, boot: u32, ring_commands: usize) -> alloc::vec::Vec<u8> {
+    let networks = record.networks.iter().map(|network| network.ssid.as_str());
+    let networks: Vec<&str, NETWORKS_MAX> = networks.collect();
+    let around = Surroundings {
+        chip: CHIP,
+        ring_commands,
+        router: &record.router,
+        tls: record.authority.is_some(),
+        user: record.login.as_ref().map(|login| login.user.as_str()),
+        networks: &networks,
+        update_key: record.update_key.as_ref(),
+    };
+    setup::json_of(&node_config(record, boot), &around)
 }
 
 /// Returns the pin of each input, in the order in which motion has them; `None`: a switch that the
@@ -321,6 +350,7 @@ async fn main(spawner: Spawner) -> ! {
     let wifi = WifiController::new(parts.WIFI, ControllerConfig::default());
 
     let shelf = scripts::Shelf::open(flash);
+    let setup = setup_of(record, boot, ring.len() / COMMAND_WORDS);
     let (to_node, from_network) = keep!(Queue<Parcel, { IN_MAX + 1 }>, Queue::new()).split();
     let (to_network, from_node) = keep!(Queue<Outbound, { OUT_MAX + 1 }>, Queue::new()).split();
     let has_cd = record.machine.has_cd;
@@ -429,6 +459,7 @@ async fn main(spawner: Spawner) -> ! {
         keeper,
         shelf,
         gauges,
+        setup,
     );
     spawner.spawn(link.expect("spawned once"));
     serial::run(port, dialogue, false).await

@@ -28,6 +28,7 @@ pub mod library;
 pub mod limits;
 pub mod outbox;
 pub mod run;
+pub mod setup;
 pub mod signed;
 pub mod trace;
 

@@ -57,6 +57,11 @@ pub trait Host {
             ..Vitals::default()
         }
     }
+    /// Tells what it was told and is made of, as [`crate::setup::json_of`] writes it; nothing: it does not
+    /// answer.
+    fn setup(&self) -> Vec<u8> {
+        Vec::new()
+    }
 }
 
 impl<B: StepBackend, O: Outputs> Host for Node<'_, B, O> {
@@ -148,6 +153,10 @@ pub struct NodeLink {
     updates: QueryableId,
     update_key: KeyText,
     answers: Vec<(InboundQuery, Option<UpdateReply>)>,
+    /// Who asks for the setup.
+    setups: QueryableId,
+    setup_key: KeyText,
+    curious: Vec<InboundQuery>,
     /// Jogs: each with the number by which the node answers it, and since when it waits.
     jogs: QueryableId,
     jog_key: KeyText,
@@ -199,6 +208,8 @@ impl NodeLink {
         let shelf = session.declare_queryable(&every, true)?;
         let update_key = keys.node(name, NodeTopic::Update);
         let updates = session.declare_queryable(&update_key, true)?;
+        let setup_key = keys.node(name, NodeTopic::Setup);
+        let setups = session.declare_queryable(&setup_key, true)?;
         let jog_key = keys.node(name, NodeTopic::Jog);
         let jogs = session.declare_queryable(&jog_key, true)?;
         // Last: who sees the token may count on the subscriptions.
@@ -216,6 +227,9 @@ impl NodeLink {
             updates,
             update_key,
             answers: Vec::new(),
+            setups,
+            setup_key,
+            curious: Vec::new(),
             jogs,
             jog_key,
             asked: Vec::new(),
@@ -246,6 +260,7 @@ impl NodeLink {
                     self.held = None;
                     self.gets.clear();
                     self.answers.clear();
+                    self.curious.clear();
                     self.asked.clear();
                     self.vitals_at = None;
                     host.handle(now, Inbound::LinkDown);
@@ -285,6 +300,9 @@ impl NodeLink {
                     });
                     self.answers.push((query, reply));
                 }
+                Event::Query {
+                    query, queryable, ..
+                } if queryable == self.setups => self.curious.push(query),
                 Event::Query {
                     query,
                     queryable,
@@ -330,6 +348,7 @@ impl NodeLink {
             }
         }
         self.tell_vitals(host, session, now);
+        self.answer_setups(host, session);
         host.poll_timeout().into_iter().chain(self.vitals_at).min()
     }
 
@@ -394,6 +413,28 @@ impl NodeLink {
                 return;
             }
             self.answers.remove(0);
+        }
+    }
+
+    /// Replies to gets of the setup, behind everything else that is to be said, as far as there is room.
+    fn answer_setups<H: Host>(&mut self, host: &H, session: &mut Session) {
+        if self.held.is_some() {
+            return;
+        }
+        let options = options_of(NodeTopic::Setup);
+        while let Some(query) = self.curious.first() {
+            let setup = host.setup();
+            let replied = match setup.is_empty() {
+                true => Ok(()),
+                false => session.reply(query, &self.setup_key, &setup, &options),
+            };
+            if replied == Err(ReplyError::Full)
+                || session.reply_final(query) == Err(ReplyError::Full)
+            {
+                // Twice the same answer does no harm.
+                return;
+            }
+            self.curious.remove(0);
         }
     }
 
@@ -494,6 +535,7 @@ fn options_of(topic: NodeTopic) -> PutOptions {
         NodeTopic::Data => (Priority::Data, Congestion::Drop, false, JSON),
         NodeTopic::Log => (Priority::Background, Congestion::Drop, false, TEXT_PLAIN),
         NodeTopic::Vitals => (Priority::Background, Congestion::Drop, false, OCTET_STREAM),
+        NodeTopic::Setup => (Priority::Background, Congestion::Drop, false, JSON),
         _ => (Priority::DataHigh, Congestion::Drop, false, OCTET_STREAM),
     };
     PutOptions {

@@ -1,12 +1,27 @@
 //! What can be typed.
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
-use keys::{
-    GroupId, JobId, NodeId,
-    jog::{JogWay, LEASE_MS_DEFAULT, LEASE_MS_MAX, LEASE_MS_MIN},
-    pace::{SPEED_PERCENT_MAX, SPEED_PERCENT_MIN},
-    record::JobState,
-};
+mod image;
+mod jobs;
+mod jog;
+#[cfg(feature = "demo")]
+mod measure;
+mod node;
+mod parse;
+mod people;
+mod service;
+
+pub(crate) use image::{Update, UpdateKey};
+pub(crate) use jobs::{Cancel, Export, Format, Jobs, Move, Submit, Trace};
+pub(crate) use jog::Jog;
+#[cfg(feature = "demo")]
+pub(crate) use measure::{Bench, BenchNodes, What};
+pub(crate) use node::{Label, Maintenance, Pace, Queue, QueueWish, Release, Setup, Speed, Stop};
+pub(crate) use parse::{instant, pattern, setting};
+pub(crate) use people::{Init, Keys, KeysAct, Users, UsersAct};
+pub(crate) use service::{Backup, Check, Config, Doctor, Serve};
+
+use clap::{Args, Parser, Subcommand};
+use parse::{prefix, seconds};
 use std::{path::PathBuf, time::Duration};
 
 /// Where clients look for the gateway when nothing else is said.
@@ -332,6 +347,16 @@ Examples:
   fleet provision /dev/ttyACM0")]
     Provision(crate::provision::Provision),
 
+    /// Tell how a node is set: axes, switches, outputs, its way to the router; nothing secret.
+    ///
+    /// The node itself answers, so it must be there; what is written to its flash since its start shows
+    /// behind the next one.
+    #[command(after_help = "\
+Examples:
+  fleet setup left
+  fleet setup 'cell-$*' --json | jq '{name, driver: .axes[0].driver}'")]
+    Setup(Setup),
+
     /// Store a Lua script on a node; list, show or remove such scripts.
     ///
     /// Jobs call it by its name. The one named `boot` runs when the node starts, if `fleet provision` has
@@ -399,343 +424,6 @@ Examples:
     BenchNodes(BenchNodes),
 }
 
-/// What `fleet bench` measures.
-#[cfg(feature = "demo")]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum What {
-    Intake,
-    Batches,
-    Pulse,
-    Scale,
-}
-
-#[cfg(feature = "demo")]
-#[derive(Debug, Args)]
-pub(crate) struct Bench {
-    /// What is measured [default: everything]
-    #[arg(value_enum)]
-    pub(crate) what: Vec<What>,
-
-    /// Sizes of the fleet, one after the other.
-    #[arg(long, value_name = "COUNT", value_delimiter = ',', default_value = "1,10,100", value_parser = node_count)]
-    pub(crate) nodes: Vec<usize>,
-
-    /// How long each thing is measured that has no end of its own, s.
-    #[arg(long, value_name = "SECONDS", default_value = "3", value_parser = seconds)]
-    pub(crate) seconds: Duration,
-}
-
-#[cfg(feature = "demo")]
-#[derive(Debug, Args)]
-pub(crate) struct BenchNodes {
-    /// How many.
-    #[arg(value_parser = node_count)]
-    pub(crate) count: usize,
-
-    /// Where they connect.
-    pub(crate) connect: String,
-}
-
-#[cfg(feature = "demo")]
-fn node_count(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count @ 1..=4_000) => Ok(count),
-        _ => Err("1 to 4000".to_owned()),
-    }
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Update {
-    /// The node.
-    #[arg(value_parser = node_id)]
-    pub(crate) node: NodeId,
-
-    /// Image, as `espflash save-image` makes it.
-    #[arg(requires = "key")]
-    pub(crate) image: Option<PathBuf>,
-
-    /// File with the key that signs it. Nobody but you may be able to read it.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) key: Option<PathBuf>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct UpdateKey {
-    /// File of the key; the one for nodes is beside it and ends in .pub.
-    pub(crate) file: PathBuf,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Serve {
-    /// Where the router listens; may be given several times. Port 0: the system chooses one.
-    /// [default: tcp/127.0.0.1:7447; with --secure: tls/0.0.0.0:7447 for people and
-    /// tcp/0.0.0.0:7448 for nodes]
-    #[arg(
-        long,
-        value_name = "tcp/HOST:PORT",
-        env = "FLEET_LISTEN",
-        value_delimiter = ','
-    )]
-    pub(crate) listen: Vec<String>,
-
-    /// Settings; `fleet config` prints them all. What is said here or in the environment wins.
-    #[arg(long, value_name = "FILE", env = "FLEET_CONFIG")]
-    pub(crate) config: Option<PathBuf>,
-
-    /// File of jobs and nodes; made if it is not there [default: fleet.redb]
-    #[arg(long, value_name = "FILE", env = "FLEET_STORE")]
-    pub(crate) store: Option<PathBuf>,
-
-    /// Who may connect to the own router: lines NAME:PASSWORD, one of them `gateway`, as which
-    /// the gateway itself connects. Without it: everybody.
-    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
-    pub(crate) users: Option<PathBuf>,
-
-    /// Folder of a secured fleet, made by `fleet init`.
-    #[arg(long, value_name = "DIR", env = "FLEET_SECURE", conflicts_with_all = ["connect", "users"])]
-    pub(crate) secure: Option<PathBuf>,
-
-    /// Serve /metrics (Prometheus) and /healthz by HTTP, for example on 127.0.0.1:9447.
-    #[arg(long, value_name = "HOST:PORT", env = "FLEET_HTTP")]
-    pub(crate) http: Option<std::net::SocketAddr>,
-
-    /// Send a span for each job to this collector of OpenTelemetry, OTLP by HTTP; needs a build with
-    /// the feature `otel`.
-    #[arg(long, value_name = "http://HOST:PORT", env = "FLEET_OTLP")]
-    pub(crate) otlp: Option<gateway::collector::Collector>,
-
-    /// Stand by beside another gateway with the same store, and take over when it has gone.
-    #[arg(long)]
-    pub(crate) standby: bool,
-
-    /// Look for other zenoh routers by multicast, and let yourself be found.
-    #[arg(long)]
-    pub(crate) scouting: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Config {
-    /// Check this file instead.
-    pub(crate) file: Option<PathBuf>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Backup {
-    /// Where to; a file that exists is left alone.
-    #[arg(value_name = "FILE")]
-    pub(crate) file: PathBuf,
-
-    /// Copy this store, which no gateway has, instead of asking a gateway for its own.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) store: Option<PathBuf>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Doctor {
-    /// The store of a gateway that does not run, or a backup.
-    #[arg(value_name = "FILE")]
-    pub(crate) file: PathBuf,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Check {
-    /// The program.
-    pub(crate) file: PathBuf,
-
-    /// The gateway's settings, of which the section [node.NAME] says what the machine is like.
-    #[arg(long, value_name = "FILE", env = "FLEET_CONFIG")]
-    pub(crate) config: Option<PathBuf>,
-
-    /// Whose machine [default: the only one there is].
-    #[arg(long, value_parser = node_id)]
-    pub(crate) node: Option<NodeId>,
-
-    /// Print the job in JSON that the node would get.
-    #[arg(long)]
-    pub(crate) commands: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Init {
-    /// Where; made if it is not there, and readable by you only.
-    #[arg(value_name = "DIR")]
-    pub(crate) folder: PathBuf,
-
-    /// Name or address under which clients and nodes reach the gateway's machine; may be given
-    /// several times. `localhost` is always one.
-    #[arg(long = "host", value_name = "NAME")]
-    pub(crate) hosts: Vec<String>,
-
-    /// The first operator.
-    #[arg(long, value_name = "NAME", default_value = "operator", value_parser = node_id)]
-    pub(crate) operator: NodeId,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Users {
-    /// Folder of the fleet.
-    #[arg(value_name = "DIR")]
-    pub(crate) folder: PathBuf,
-
-    #[command(subcommand)]
-    pub(crate) act: UsersAct,
-}
-
-/// What to do with users. All of it counts from the gateway's next start.
-#[derive(Debug, Subcommand)]
-pub(crate) enum UsersAct {
-    /// Add one, and write the credentials to hand out to DIR/NAME.json.
-    Add {
-        /// Name; a node's is its own.
-        #[arg(value_parser = node_id)]
-        name: NodeId,
-        /// `operator` hands in, cancels, stops and releases; `viewer` looks on and stops; `node` is
-        /// the node of that name.
-        #[arg(long)]
-        role: gateway::security::Role,
-    },
-    /// Take one away.
-    Revoke {
-        /// Name.
-        #[arg(value_parser = node_id)]
-        name: NodeId,
-    },
-    /// List them.
-    List,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Keys {
-    /// Folder of the fleet.
-    #[arg(value_name = "DIR")]
-    pub(crate) folder: PathBuf,
-
-    #[command(subcommand)]
-    pub(crate) act: KeysAct,
-}
-
-/// What to do with signing keys. All of it counts from the next start of gateway and nodes.
-#[derive(Debug, Subcommand)]
-pub(crate) enum KeysAct {
-    /// Make one, and write the private half to hand out to DIR/NAME.key.
-    New {
-        /// Whose.
-        #[arg(value_parser = node_id)]
-        name: NodeId,
-    },
-    /// Take one away.
-    Revoke {
-        /// Whose.
-        #[arg(value_parser = node_id)]
-        name: NodeId,
-    },
-    /// List the public halves.
-    List,
-    /// Let jobs without a signature in again. Revoking the last key does not.
-    Off,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Submit {
-    /// The job; `-`: standard input.
-    #[arg(value_name = "FILE|-", required_unless_present = "template")]
-    pub(crate) file: Option<PathBuf>,
-
-    /// The job is this template of the gateway (`fleet template`), filled in by --set.
-    #[arg(long, conflicts_with_all = ["file", "format"], value_parser = group_id)]
-    pub(crate) template: Option<GroupId>,
-
-    /// Node, or pattern with `*` or `$*`: a job for each node that is alive and matches.
-    #[arg(long, value_name = "PATTERN", value_parser = pattern, required_unless_present_any = ["group", "label"])]
-    pub(crate) node: Option<String>,
-
-    /// Label: a job for each node that has it and is alive (`fleet label`).
-    #[arg(long, conflicts_with_all = ["node", "group"], value_parser = group_id)]
-    pub(crate) label: Option<GroupId>,
-
-    /// With --label: all of them start at one instant.
-    #[arg(long, requires = "label")]
-    pub(crate) together: bool,
-
-    /// Group: the file has a part for each of its nodes, and all start at one instant.
-    #[arg(long, conflicts_with = "node", value_parser = group_id)]
-    pub(crate) group: Option<GroupId>,
-
-    /// Name of the job; makes it idempotent. Replaces the one in the file.
-    #[arg(long, value_parser = job_id)]
-    pub(crate) id: Option<JobId>,
-
-    /// Sign the job with this key, for this start of the node, or of each node of a group; they must be
-    /// there.
-    #[arg(long, value_name = "FILE")]
-    pub(crate) sign: Option<PathBuf>,
-
-    /// What the file is [default: by its extension
-    /// (.json, .lua, .gcode, .nc, .ngc, .tap); else JSON if it begins with `{`, Lua if not].
-    #[arg(long, value_enum)]
-    pub(crate) format: Option<Format>,
-
-    /// What stands for ${NAME} in the file; may be given several times. The file is a template then,
-    /// and each of its names needs a value.
-    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
-    pub(crate) settings: Vec<(String, String)>,
-
-    /// Among jobs that wait: -100 to 100, higher goes first.
-    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(i8).range(-100..=100))]
-    pub(crate) priority: Option<i8>,
-
-    /// Only when nothing else waits for the node.
-    #[arg(long, conflicts_with = "priority")]
-    pub(crate) when_idle: bool,
-
-    /// Not before this time, in UTC: 2026-11-22T03:00:00Z.
-    #[arg(long, value_name = "TIME", value_parser = instant)]
-    pub(crate) at: Option<keys::FleetMicros>,
-
-    /// Wait until the job has ended, SECONDS at most if given; exit code 1 if it did not succeed.
-    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, value_parser = seconds)]
-    pub(crate) wait: Option<Option<Duration>>,
-}
-
-/// How a job is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Format {
-    /// An object with `commands` or `lua`.
-    Json,
-    /// The script itself.
-    Lua,
-    /// The common subset of GRBL, for one node whose machine is in the gateway's fleet.toml.
-    Gcode,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Jobs {
-    /// Only jobs in this state.
-    #[arg(long, value_parser = job_state())]
-    pub(crate) state: Option<JobState>,
-
-    /// Only jobs of this node.
-    #[arg(long, value_parser = node_id)]
-    pub(crate) node: Option<NodeId>,
-
-    /// Print history for another program.
-    #[arg(long, value_enum, conflicts_with = "json")]
-    pub(crate) export: Option<Export>,
-
-    /// Most jobs.
-    #[arg(long, value_name = "COUNT", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1_000))]
-    pub(crate) limit: u16,
-}
-
-/// How a list is printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Export {
-    /// Comma-separated values with a line of heads (RFC 4180).
-    Csv,
-    /// One list of records.
-    Json,
-}
-
 #[derive(Debug, Args)]
 pub(crate) struct Help {
     /// A topic, or a command.
@@ -750,254 +438,10 @@ pub(crate) struct Completions {
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct Trace {
-    /// The job.
-    #[arg(value_name = "JOB", value_parser = job_id)]
-    pub(crate) job: JobId,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Label {
-    /// Node, or pattern with `*` or `$*`; without labels: what to show.
-    #[arg(value_name = "NODE", default_value = "*", value_parser = pattern)]
-    pub(crate) node: String,
-
-    /// Labels to give.
-    #[arg(value_name = "LABEL", value_parser = group_id)]
-    pub(crate) labels: Vec<GroupId>,
-
-    /// Label to take away; may be given several times.
-    #[arg(long, value_name = "LABEL", value_parser = group_id)]
-    pub(crate) remove: Vec<GroupId>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Maintenance {
-    /// Node, or pattern with `*` or `$*`.
-    #[arg(value_name = "NODE", value_parser = pattern)]
-    pub(crate) node: String,
-
-    /// Why: whoever hands in a job is told.
-    #[arg(required_unless_present = "end", conflicts_with = "end")]
-    pub(crate) reason: Option<String>,
-
-    /// It takes jobs again.
-    #[arg(long)]
-    pub(crate) end: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Queue {
-    /// Node, or pattern with `*` or `$*`.
-    #[arg(value_name = "NODE", value_parser = pattern)]
-    pub(crate) node: String,
-
-    /// What to do with its queue.
-    #[arg(value_enum)]
-    pub(crate) wish: QueueWish,
-}
-
-/// What to do with a queue.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum QueueWish {
-    /// The job that runs ends, the next one does not begin.
-    Hold,
-    /// They go on.
-    Resume,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Move {
-    /// The job that waits.
-    #[arg(value_name = "JOB", value_parser = job_id)]
-    pub(crate) job: JobId,
-
-    /// Right before this one, with its priority.
-    #[arg(long, value_name = "JOB", value_parser = job_id, required_unless_present = "priority")]
-    pub(crate) before: Option<JobId>,
-
-    /// -100 to 100, higher goes first.
-    #[arg(long, conflicts_with = "before", allow_negative_numbers = true, value_parser = clap::value_parser!(i8).range(-100..=100))]
-    pub(crate) priority: Option<i8>,
-}
-
-#[derive(Debug, Args)]
 pub(crate) struct Watch {
     /// End after this time, s.
     #[arg(long, value_parser = seconds)]
     pub(crate) seconds: Option<Duration>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Cancel {
-    /// The job, or pattern with `*` or `$*`.
-    #[arg(value_name = "JOB", value_parser = pattern)]
-    pub(crate) job: String,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Stop {
-    /// Node, or pattern with `*` or `$*`; all nodes by default.
-    #[arg(default_value = "*", value_parser = pattern)]
-    pub(crate) pattern: String,
-
-    /// Come to rest by the ramp of each axis instead of at once.
-    #[arg(long)]
-    pub(crate) decelerate: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Release {
-    /// Node, or pattern with `*` or `$*`; all nodes by default.
-    #[arg(default_value = "*", value_parser = pattern)]
-    pub(crate) pattern: String,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Pace {
-    /// Node, or pattern with `*` or `$*`.
-    #[arg(value_name = "NODE", value_parser = pattern)]
-    pub(crate) pattern: String,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct Speed {
-    /// Node, or pattern with `*` or `$*`.
-    #[arg(value_name = "NODE", value_parser = pattern)]
-    pub(crate) pattern: String,
-
-    /// Percent of what the commands ask for.
-    #[arg(default_value_t = 100, value_parser = clap::value_parser!(u16)
-        .range(i64::from(SPEED_PERCENT_MIN)..=i64::from(SPEED_PERCENT_MAX)))]
-    pub(crate) percent: u16,
-}
-
-#[derive(Debug, Args)]
-#[command(group = clap::ArgGroup::new("what").required(true))]
-pub(crate) struct Jog {
-    /// Node.
-    #[arg(value_name = "NODE")]
-    pub(crate) node: NodeId,
-
-    /// Axis number, from 0.
-    #[arg(long, required_unless_present = "stop")]
-    pub(crate) axis: Option<u8>,
-
-    /// To this position, steps.
-    #[arg(
-        long,
-        value_name = "POSITION",
-        group = "what",
-        allow_hyphen_values = true
-    )]
-    pub(crate) to: Option<i64>,
-
-    /// So many steps from where it is going.
-    #[arg(long, value_name = "STEPS", group = "what", allow_hyphen_values = true)]
-    pub(crate) by: Option<i64>,
-
-    /// One step.
-    #[arg(long, value_name = "+|-", group = "what", value_parser = way, allow_hyphen_values = true)]
-    pub(crate) step: Option<JogWay>,
-
-    /// On and on, until this command ends.
-    #[arg(long, value_name = "+|-", group = "what", value_parser = way, allow_hyphen_values = true)]
-    pub(crate) run: Option<JogWay>,
-
-    /// Comes to rest by its ramp; without --axis all of them.
-    #[arg(long, group = "what")]
-    pub(crate) stop: bool,
-
-    /// Speed, Hz.
-    #[arg(long, default_value_t = 500, value_name = "HZ")]
-    pub(crate) speed: u32,
-
-    /// Acceleration, steps/s².
-    #[arg(long, default_value_t = 2_000, value_name = "STEPS/S2")]
-    pub(crate) accel: u32,
-
-    /// Jerk, steps/s³: makes it an S-curve.
-    #[arg(long, value_name = "STEPS/S3")]
-    pub(crate) jerk: Option<u32>,
-
-    /// How long a run goes on when this command is gone, ms.
-    #[arg(long, default_value_t = LEASE_MS_DEFAULT, value_name = "MS",
-        value_parser = clap::value_parser!(u32).range(i64::from(LEASE_MS_MIN)..=i64::from(LEASE_MS_MAX)))]
-    pub(crate) lease: u32,
-}
-
-fn way(text: &str) -> Result<JogWay, String> {
-    match text {
-        "+" | "forward" => Ok(JogWay::Forward),
-        "-" | "backward" => Ok(JogWay::Backward),
-        _ => Err("+ or -".into()),
-    }
-}
-
-fn prefix(text: &str) -> Result<keys::Keys, String> {
-    keys::Keys::new(text).map_err(|error| error.to_string())
-}
-
-fn node_id(text: &str) -> Result<NodeId, String> {
-    NodeId::new(text).map_err(|error| error.to_string())
-}
-
-fn group_id(text: &str) -> Result<GroupId, String> {
-    GroupId::new(text).map_err(|error| error.to_string())
-}
-
-fn job_id(text: &str) -> Result<JobId, String> {
-    JobId::new(text).map_err(|error| error.to_string())
-}
-
-pub(crate) fn setting(text: &str) -> Result<(String, String), String> {
-    let (name, value) = text.split_once('=').ok_or("NAME=VALUE")?;
-    if name.is_empty()
-        || !name
-            .bytes()
-            .all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
-    {
-        return Err("a name consists of letters, digits and _".to_owned());
-    }
-    Ok((name.to_owned(), value.to_owned()))
-}
-
-pub(crate) fn instant(text: &str) -> Result<keys::FleetMicros, String> {
-    keys::FleetMicros::from_rfc3339(text)
-        .ok_or_else(|| "a time in UTC: 2026-11-22T03:00:00Z".into())
-}
-
-fn job_state() -> impl clap::builder::TypedValueParser<Value = JobState> {
-    use clap::builder::TypedValueParser as _;
-    let words = JobState::ALL.map(JobState::as_str);
-    clap::builder::PossibleValuesParser::new(words)
-        .map(|word| word.parse().expect("the words are those of the states"))
-}
-
-fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds: f64 = text
-        .parse()
-        .map_err(|_| format!("{text:?} is no number of seconds"))?;
-    Duration::try_from_secs_f64(seconds)
-        .ok()
-        .filter(|duration| !duration.is_zero() && *duration <= Duration::from_secs(86_400))
-        .ok_or_else(|| "more than 0 and at most 86400 seconds".to_owned())
-}
-
-/// A name, or one chunk of a key expression.
-pub(crate) fn pattern(text: &str) -> Result<String, String> {
-    let words = "a name of a-z, 0-9, _ and -, or a pattern of such with `*` alone or `$*`";
-    let legal =
-        |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"_-$*".contains(&byte);
-    if text.is_empty()
-        || !text.bytes().all(legal)
-        || zenoh::key_expr::keyexpr::new(text).is_err()
-        || text == "**"
-        || (!text.contains('*') && NodeId::new(text).is_err())
-    {
-        return Err(words.to_owned());
-    }
-    Ok(text.to_owned())
 }
 
 #[cfg(test)]
@@ -1016,24 +460,6 @@ mod tests {
             let about = command.get_about().expect("a sentence").to_string();
             assert!(about.chars().count() <= 90, "{about}");
             assert!(!about.contains(". "), "{about}");
-        }
-    }
-
-    #[test]
-    fn a_pattern_is_one_chunk_of_a_key() {
-        for good in ["left", "*", "cell-$*", "$*-x", "part-0815"] {
-            assert_eq!(pattern(good).as_deref(), Ok(good));
-        }
-        for bad in ["", "**", "a/b", "Left", "a*b", "$", "a?", "-x", "*$*"] {
-            assert!(pattern(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn times_are_numbers_of_seconds_above_zero() {
-        assert_eq!(seconds("0.5"), Ok(Duration::from_millis(500)));
-        for bad in ["0", "-1", "x", "nan", "inf", "1e9"] {
-            assert!(seconds(bad).is_err(), "{bad}");
         }
     }
 

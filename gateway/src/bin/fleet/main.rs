@@ -24,6 +24,7 @@ mod provision;
 mod script;
 mod secure;
 mod serve;
+mod setup;
 mod show;
 mod sign;
 mod stop;
@@ -138,6 +139,7 @@ async fn perform(common: &Common, verb: &Verb) -> Result<(), Failure> {
         Verb::Release(release) => stop::release(&link, &release.pattern, json).await,
         Verb::Backup(line) => backup::backup(Some(&link), line, json).await,
         Verb::Update(line) => update::update(&link, line, json).await,
+        Verb::Setup(line) => setup::setup(&link, &line.pattern, json).await,
         Verb::Script(line) => script::script(&link, line, json).await,
         Verb::Serve(_)
         | Verb::Config(_)

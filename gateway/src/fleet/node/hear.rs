@@ -1,7 +1,7 @@
 //! What a node says: its status, its answers to orders, its clock replies, and the end of its
 //! liveliness token. Owns the decision which of it is news, and every outcome of a job.
 
-use super::{Latch, Node, REPLACED_BOOTS_MAX, Released, Repeat, SeenFault, TWIN_US, Turn, Twin};
+use super::{Node, REPLACED_BOOTS_MAX, SeenFault, TWIN_US, Turn, Twin};
 use crate::{
     fleet::{
         clock::Stamps,
@@ -185,60 +185,6 @@ impl Node {
             }
         }
         self.faults.sort_by_key(|seen| seen.fault.at);
-    }
-
-    fn take_latch(&mut self, status: &Status, same_queue: bool, turn: &mut Turn<'_>) {
-        let before = self.facts.latch;
-        if !matches!(status.state, NodeState::Stopped | NodeState::Fault) {
-            self.facts.latch = None;
-            self.coming_to_rest = false;
-            // While its latch is still to come this was said before the stop, and ends no release.
-            let released = self.facts.pending_stop.is_none();
-            if let Some(wish) = self.release.take_if(|_| released) {
-                turn.released
-                    .extend(wish.waiters.into_iter().map(Released::done));
-            }
-            return;
-        }
-        // A latch that closes over a queue which was open is on its way: the report that is in
-        // the status belongs to an earlier stop.
-        let was_open = self.status.is_some() && before.is_none();
-        if !same_queue {
-            self.coming_to_rest = false;
-        } else if was_open {
-            self.coming_to_rest = true;
-        }
-        let report = status
-            .stop
-            .as_ref()
-            .filter(|report| !self.coming_to_rest && report.reason != StopReason::Cancel);
-        let reason = match (status.state, report) {
-            (NodeState::Fault, _) => Some(StopReason::Fault),
-            (_, Some(report)) => Some(report.reason),
-            (_, None) if self.facts.pending_stop.is_some() => Some(StopReason::Client),
-            (_, None) => before.and_then(|latch| latch.reason),
-        };
-        let kept = before.filter(|latch| latch.queue == status.queue && latch.reason == reason);
-        let latch = kept.unwrap_or_else(|| Latch {
-            queue: status.queue,
-            reason,
-            at: report.map_or(turn.now, |report| {
-                self.fleet_from_local(report.at, status.at, turn.now)
-            }),
-        });
-        self.facts.latch = Some(latch);
-        self.facts.pending_stop = None;
-        self.stop = Repeat::default();
-        // A lost link is nobody's wish to end what waits; whatever else latches is.
-        let news = before.and_then(|latch| latch.reason) != reason;
-        if let Some(reason) = reason.filter(|reason| news && *reason != StopReason::Link) {
-            let message = format!(
-                "the node was stopped ({}) before the job began",
-                reason.as_str()
-            );
-            let error = JobError::new(ErrorCode::Stopped, message);
-            self.fail_waiting(&error, turn);
-        }
     }
 
     /// Draws the conclusion for the active job from the last status.

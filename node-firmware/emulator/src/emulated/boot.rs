@@ -13,7 +13,11 @@ use keys::{
     update::{UpdateMessage, UpdateReply},
 };
 use motion::MotionConfig;
-use node::{Inbound, Node, NodeConfig, Outbound, library::Library};
+use node::{
+    Inbound, Node, NodeConfig, Outbound,
+    library::Library,
+    setup::{self, Surroundings},
+};
 use provision::{Found, store::OLDER};
 
 impl node::run::Host for EmulatedNode {
@@ -56,6 +60,23 @@ impl node::run::Host for EmulatedNode {
             uptime_s: u32::try_from(uptime_us / 1_000_000).ok(),
             ..Vitals::default()
         }
+    }
+
+    fn setup(&self) -> Vec<u8> {
+        let config = &self.config;
+        let credentials = config.credentials.as_ref();
+        setup::json_of(
+            self.node.config(),
+            &Surroundings {
+                chip: "emulated",
+                ring_commands: config.ring_commands,
+                router: &config.connect,
+                tls: config.authority.is_some(),
+                user: credentials.map(|credentials| credentials.user.as_str()),
+                networks: &[],
+                update_key: config.update_key.as_ref(),
+            },
+        )
     }
 }
 
