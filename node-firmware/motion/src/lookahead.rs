@@ -122,8 +122,8 @@ impl Line {
     }
 
     /// Direction of the tool along each axis, -1 to 1.
-    fn slopes(&self) -> [Real; LINE_AXES] {
-        let inverse = Real::of(1) / self.tool_way();
+    fn slopes(&self, tool_way: Real) -> [Real; LINE_AXES] {
+        let inverse = Real::of(1) / tool_way;
         self.steps.map(|count| Real::of_signed(count) * inverse)
     }
 
@@ -153,10 +153,11 @@ struct Edge {
 
 impl Edge {
     fn of(line: &Line) -> Self {
+        let way = line.tool_way();
         Self {
             steps: line.steps,
-            slopes: line.slopes(),
-            way: line.tool_way(),
+            slopes: line.slopes(way),
+            way,
             speed_max: line.tool_speed_max(),
             accel: line.law.accel() * line.stretch,
             own_accel: line.law.accel(),

@@ -246,22 +246,22 @@ impl Cursor {
                 }
             }
             let pace = self.interval_of(&pass);
-            let mut change = (pace - self.pace).over(count as u32);
-            // A change that adds up to less than 1/128 of a tick is none.
-            let even = (change * Real::of(count).squared()).abs();
-            let is_even = even.shifted(7).fixed(0) == 0;
-            if count > CHANGING_STEPS_MAX && !is_even {
-                count = CHANGING_STEPS_MAX;
-                continue;
+            let change = (pace - self.pace).over(count as u32);
+            let is_even = count > CHANGING_STEPS_MAX;
+            if is_even {
+                // A change that adds up to less than 1/128 of a tick is none.
+                let sum = (change * Real::of(count).squared()).abs();
+                if sum.shifted(7).fixed(0) != 0 {
+                    count = CHANGING_STEPS_MAX;
+                    continue;
+                }
             }
             self.next += count;
             (self.pass, self.pace, self.change) = (pass, pace, change);
             if count == 1 {
                 return Fit::of_one(first, pass.ticks);
             }
-            if is_even {
-                change = Real::ZERO;
-            }
+            let change = if is_even { Real::ZERO } else { change };
             let mean = (pass.ticks - first).over(count as u32);
             return Fit {
                 count,
