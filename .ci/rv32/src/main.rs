@@ -1,12 +1,12 @@
 //! Counts the motion core's instructions on a 32-bit machine: qemu's `virt` board executes each
 //! case in both lengths, with one count of `minstret` for each instruction (`-icount shift=0`).
 //! For each length it prints: case, size, words, instructions of the refills, of planning, ticks of
-//! the motion, accesses of the refills to the hardware.
+//! the motion, accesses of the refills to the hardware, units, axes, name.
 #![no_std]
 #![no_main]
 
 #[path = "../../../node-firmware/rmt/benches/cases/mod.rs"]
-#[expect(dead_code, reason = "their names and units are the PC's to print")]
+#[expect(dead_code, reason = "what a unit is called is the PC's to print")]
 mod cases;
 #[path = "../../../node-firmware/rmt/benches/run/mod.rs"]
 mod run;
@@ -101,12 +101,15 @@ extern "C" fn main() -> ! {
             let all = all_instructions() - before;
             let _ = writeln!(
                 Serial,
-                "{index} {size} {} {} {} {} {}",
+                "{index} {size} {} {} {} {} {} {} {} {}",
                 run.words,
                 run.refill_instructions,
                 all - run.refill_instructions - run.own_instructions,
                 run.ticks,
                 run.accesses,
+                (case.units)(size),
+                case.axis_count,
+                case.name,
             );
         }
     }

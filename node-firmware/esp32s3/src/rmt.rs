@@ -24,7 +24,7 @@ use esp_hal::{
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{Axis, StepBackend, Ticks, limits::CHANNELS};
-use rmt::{ChannelConfig, ChannelStatus, Registers, Streamer, StreamerConfig};
+use rmt::{ChannelConfig, ChannelStatus, Events, Registers, Streamer, StreamerConfig};
 
 #[cfg(feature = "counters")]
 use esp_hal::pcnt::{
@@ -155,6 +155,19 @@ impl Registers for Chip {
         (0..LAYOUT.transmitters as u8).fold(0, |mask, channel| {
             let ended = raw.ch_tx_end(channel).bit_is_set();
             mask | u8::from(ended) << channel
+        })
+    }
+
+    #[inline(always)]
+    fn events(&self) -> Events {
+        let raw = RMT::regs().int_raw().read();
+        PLACES.iter().fold(Events::default(), |events, place| {
+            let number = place.channel as u8;
+            let (reached, ended) = (raw.ch_tx_thr_event(number), raw.ch_tx_end(number));
+            Events {
+                reached: events.reached | u8::from(reached.bit_is_set()) << number,
+                ended: events.ended | u8::from(ended.bit_is_set()) << number,
+            }
         })
     }
 

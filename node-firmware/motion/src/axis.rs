@@ -58,18 +58,26 @@ impl Axis {
     /// Gives the half block with which the channel starts, a rest of `lead_ticks`, and books it as
     /// half 0. Half 1 follows by [`Axis::fill`].
     pub fn lead_in(&mut self, lead_ticks: u64) -> Fill {
+        let mut fill = Fill::END;
         self.lead_ticks = lead_ticks;
-        let fill = self.encoder.lead_in(lead_ticks);
+        self.encoder.lead_in(lead_ticks, &mut fill);
         self.ledger.book(0, fill.step_words, fill.sign);
         fill
     }
 
-    /// Gives the next half block and books it as `half` (0 or 1). Called by the refill.
+    /// Gives the next half block and books it as `half` (0 or 1).
     pub fn fill(&mut self, half: usize) -> Fill {
-        let ahead_ticks = self.ahead_ticks();
-        let fill = self.encoder.fill(&mut self.segments, ahead_ticks);
-        self.ledger.book(half, fill.step_words, fill.sign);
+        let mut fill = Fill::END;
+        self.fill_into(half, &mut fill);
         fill
+    }
+
+    /// The same where the fill lies: a copy of it costs as much as its words. Called by the refill.
+    #[inline]
+    pub fn fill_into(&mut self, half: usize, fill: &mut Fill) {
+        let ahead_ticks = self.ahead_ticks();
+        self.encoder.fill(&mut self.segments, ahead_ticks, fill);
+        self.ledger.book(half, fill.step_words, fill.sign);
     }
 
     /// Returns the account of steps.

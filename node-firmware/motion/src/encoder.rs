@@ -31,56 +31,25 @@
 //! leaves a brake with every part of a path that it writes: the axis slows down as in a controlled
 //! stop, by the path's own acceleration and on the path's own way.
 
+mod fill;
+mod rest;
 mod run;
 mod slower;
+mod trend;
+
+pub use fill::Fill;
+
+use fill::{HalfFacts, Out};
 
 use crate::{
     limits::{
-        LOW_WORD_TICKS_MAX, PART_BEFORE_END_TICKS_MIN, PART_TICKS_MIN, REFILL_WORDS,
-        REST_HALF_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN,
+        LOW_WORD_TICKS_MAX, PART_TICKS_MIN, REFILL_WORDS, REST_HALF_TICKS_MIN, TICK_HZ,
+        WORD_TICKS_MIN,
     },
     profile::Timing,
     segment::{Direction, FRACTION_BITS, Segment, SegmentRing},
     symbol::Symbol,
 };
-
-/// One half block.
-#[derive(Clone, Debug)]
-pub struct Fill {
-    /// The words, to be written to the half that was consumed.
-    pub words: [Symbol; REFILL_WORDS],
-    /// The direction pin takes this level now, before anything of `words` is played.
-    pub turn: Option<Direction>,
-    /// When the pin must have it at the latest, for the driver's setup time: ticks after the first of
-    /// `words` begins, mostly before it.
-    pub turn_by_ticks: i32,
-    /// Which of the words hold a step, bit 0 the first one; all of them in one direction.
-    pub(crate) step_words: u32,
-    /// That direction, +1 or -1.
-    pub(crate) sign: i8,
-    /// How long the words last together, ticks.
-    pub(crate) ticks: u32,
-}
-
-impl Fill {
-    /// Returns which of the words hold a step, bit 0 the first one.
-    #[inline]
-    pub fn step_words(&self) -> u32 {
-        self.step_words
-    }
-
-    /// Returns what each of the steps adds to the count: +1 or -1.
-    #[inline]
-    pub fn sign(&self) -> i8 {
-        self.sign
-    }
-
-    /// Returns how long the words last together, ticks.
-    #[inline]
-    pub fn ticks(&self) -> u32 {
-        self.ticks
-    }
-}
 
 /// How far a turn has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,12 +79,6 @@ pub(crate) struct Rewound {
     pub(crate) low_ticks: u64,
     /// Direction of what comes next.
     pub(crate) direction: Option<Direction>,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct HalfFacts {
-    has_steps: bool,
-    ticks: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -152,7 +115,9 @@ pub(crate) struct Encoder {
     stopping_mhz: Option<u64>,
     /// Steps that it may still make.
     stopping_steps_max: u64,
-    trend: slower::Trend,
+    trend: trend::Trend,
+    /// Down to this speed its steps are computed quickly, mHz.
+    quick_mhz_min: u32,
     ended: bool,
     half_before: HalfFacts,
     /// The last half of the last word of that, ticks.
@@ -160,31 +125,6 @@ pub(crate) struct Encoder {
     encoded_ticks: u64,
     /// Longest rest in one word of this fill.
     low_word_ticks: u64,
-}
-
-/// Where the words of one fill go.
-struct Out {
-    fill: Fill,
-    count: usize,
-    facts: HalfFacts,
-}
-
-impl Out {
-    fn left(&self) -> usize {
-        REFILL_WORDS - self.count
-    }
-
-    fn push(&mut self, symbol: Symbol) {
-        self.fill.words[self.count] = symbol;
-        self.count += 1;
-        self.facts.ticks += symbol.ticks() as u32;
-    }
-
-    fn push_step(&mut self, symbol: Symbol) {
-        self.fill.step_words |= 1 << self.count;
-        self.facts.has_steps = true;
-        self.push(symbol);
-    }
 }
 
 impl Encoder {
@@ -208,7 +148,8 @@ impl Encoder {
             stop_accel_hz_per_s: None,
             stopping_mhz: None,
             stopping_steps_max: 0,
-            trend: slower::Trend::NONE,
+            trend: trend::Trend::NONE,
+            quick_mhz_min: 0,
             ended: true,
             half_before: HalfFacts {
                 has_steps: false,
@@ -304,20 +245,18 @@ impl Encoder {
     }
 
     /// Begins: the first half block is a rest of `lead_ticks`, so that all axes start on one tick.
-    pub(crate) fn lead_in(&mut self, lead_ticks: u64) -> Fill {
+    pub(crate) fn lead_in(&mut self, lead_ticks: u64, fill: &mut Fill) {
         self.reset();
         self.ended = false;
-        let mut out = Out::new();
+        let mut out = Out::new(fill);
         self.low_ticks = lead_ticks;
         self.spread(&mut out, lead_ticks);
         self.finish(&mut out);
-        out.fill
     }
 
-    /// Writes the next half block.
-    /// `ahead_ticks` is what is planned and not encoded.
-    pub(crate) fn fill(&mut self, segments: &mut SegmentRing, ahead_ticks: u64) -> Fill {
-        let mut out = Out::new();
+    /// Writes the next half block. `ahead_ticks` is what is planned and not encoded.
+    pub(crate) fn fill(&mut self, segments: &mut SegmentRing, ahead_ticks: u64, fill: &mut Fill) {
+        let mut out = Out::new(fill);
         // Short before it is divided: the chip divides 32 bits.
         let ahead_ticks = u32::try_from(ahead_ticks).unwrap_or(u32::MAX);
         self.low_word_ticks = if ahead_ticks <= 2 * REST_HALF_TICKS_MIN as u32 {
@@ -352,11 +291,11 @@ impl Encoder {
             }
         }
         self.finish(&mut out);
-        out.fill
     }
 
-    /// Adds up what was written. The fill stays where it is: a copy costs as much as its words.
-    fn finish(&mut self, out: &mut Out) {
+    /// Adds up what was written. Behind an end marker lie others.
+    fn finish(&mut self, out: &mut Out<'_>) {
+        out.fill.words[out.count..].fill(Symbol::END);
         self.half_before = out.facts;
         self.last_part_ticks = out.fill.words[REFILL_WORDS - 1].second().0 as u32;
         self.encoded_ticks += u64::from(out.facts.ticks);
@@ -371,7 +310,7 @@ impl Encoder {
     }
 
     /// Takes the next segment.
-    fn next(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+    fn next(&mut self, segments: &mut SegmentRing, out: &mut Out<'_>) {
         match segments.peek() {
             Some(Segment::Steps {
                 step_count,
@@ -399,7 +338,7 @@ impl Encoder {
     }
 
     /// Writes a step of the present segment.
-    fn step(&mut self, segments: &mut SegmentRing, out: &mut Out) {
+    fn step(&mut self, segments: &mut SegmentRing, out: &mut Out<'_>) {
         self.steps_left -= 1;
         self.next_interval();
         let high_ticks = self.timing.high_of(self.interval_ticks);
@@ -448,7 +387,13 @@ impl Encoder {
     }
 
     /// Writes the word of a step with up to `word_low_ticks` of its low time, and owes the rest.
-    fn write_step(&mut self, high_ticks: u64, low_ticks: u64, word_low_ticks: u64, out: &mut Out) {
+    fn write_step(
+        &mut self,
+        high_ticks: u64,
+        low_ticks: u64,
+        word_low_ticks: u64,
+        out: &mut Out<'_>,
+    ) {
         let mut in_word = low_ticks.min(word_low_ticks);
         let owed = low_ticks - in_word;
         if owed > 0 && owed < WORD_TICKS_MIN {
@@ -463,159 +408,5 @@ impl Encoder {
         self.low_ticks = low_ticks - in_word;
         self.low_ticks_since_step = in_word;
         self.resting = false;
-    }
-
-    /// Writes some of the rest that is owed.
-    fn rest(&mut self, segments: &mut SegmentRing, out: &mut Out) {
-        let between_steps = self.steps_left > 0 || self.stopping_mhz.is_some();
-        if !between_steps {
-            while let Some(Segment::Low { ticks }) = segments.peek() {
-                segments.pop();
-                self.low_ticks += ticks;
-                self.resting = true;
-            }
-            if matches!(segments.peek(), Some(Segment::Turn { .. })) && self.turn == Turn::None {
-                self.begin_turn(segments, out);
-                if out.left() == 0 || self.turn != Turn::None {
-                    return;
-                }
-            }
-        }
-        // The last of a rest stays unwritten as long as possible: a turn may still be planned
-        // behind it.
-        let window_ticks = self.timing.window_ticks();
-        let word_ticks = if self.low_ticks > window_ticks + WORD_TICKS_MIN {
-            (self.low_ticks - window_ticks).min(self.low_word_ticks)
-        } else {
-            self.low_ticks.min(self.low_word_ticks)
-        };
-        self.write_low(word_ticks, out);
-        // The same for all that is longer.
-        let symbol = Symbol::low(self.low_word_ticks);
-        while out.left() > 0 && self.low_ticks >= window_ticks + self.low_word_ticks {
-            out.push(symbol);
-            self.low_ticks -= self.low_word_ticks;
-            self.low_ticks_since_step = self
-                .low_ticks_since_step
-                .saturating_add(self.low_word_ticks);
-        }
-    }
-
-    /// Writes one word of rest of about this length.
-    fn write_low(&mut self, word_ticks: u64, out: &mut Out) {
-        let left = self.low_ticks.saturating_sub(word_ticks);
-        let word_ticks = if left > 0 && left < WORD_TICKS_MIN {
-            (word_ticks - WORD_TICKS_MIN).max(WORD_TICKS_MIN)
-        } else {
-            word_ticks
-        };
-        out.push(Symbol::low(word_ticks));
-        self.low_ticks = self.low_ticks.saturating_sub(word_ticks);
-        self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(word_ticks);
-    }
-
-    /// The next segment is a turn: at once if nothing is left to step, by a window otherwise.
-    fn begin_turn(&mut self, segments: &mut SegmentRing, out: &mut Out) {
-        let margin_ticks = self.timing.turn_ticks();
-        let rests = !self.half_before.has_steps
-            && !out.facts.has_steps
-            && u64::from(self.half_before.ticks) >= margin_ticks
-            && self.low_ticks_since_step >= self.timing.hold_ticks;
-        if rests && out.fill.turn.is_none() {
-            if let Some(Segment::Turn { direction }) = segments.pop() {
-                self.direction = Some(direction);
-                out.fill.turn = Some(direction);
-            }
-            return;
-        }
-        self.turn = Turn::Filling;
-        let held = self.low_ticks_since_step >= self.timing.hold_ticks;
-        if out.count == 0 && held {
-            return;
-        }
-        let missing = |encoder: &Self| {
-            let hold_ticks = encoder.timing.hold_ticks;
-            hold_ticks.saturating_sub(encoder.low_ticks_since_step)
-        };
-        // While this half plays the window is written: it lasts long enough for that if there is more
-        // rest than the turn needs.
-        let needed = margin_ticks + missing(self);
-        let spare = self.low_ticks.saturating_sub(needed);
-        let spare = spare.min(REST_HALF_TICKS_MIN) as u32;
-        let each = u64::from(spare / out.left().max(1) as u32).max(WORD_TICKS_MIN);
-        while out.left() > 0 {
-            let word_ticks = missing(self).max(each).min(LOW_WORD_TICKS_MAX);
-            self.write_low(word_ticks, out);
-        }
-    }
-
-    /// Writes the half block of rest in which the pin is switched.
-    fn window(&mut self, out: &mut Out) {
-        let least = self.timing.turn_ticks();
-        let most = REFILL_WORDS as u64 * LOW_WORD_TICKS_MAX / 2;
-        debug_assert!(self.low_ticks >= least, "the planner leaves the window");
-        self.low_ticks = self.low_ticks.max(least);
-        let left = self.low_ticks.saturating_sub(most);
-        let ticks = if left > 0 && left < WORD_TICKS_MIN {
-            most - WORD_TICKS_MIN
-        } else {
-            self.low_ticks.min(most)
-        };
-        self.spread(out, ticks);
-        self.turn = Turn::Due;
-    }
-
-    /// Writes a whole half block of rest that lasts this long.
-    fn spread(&mut self, out: &mut Out, ticks: u64) {
-        let mut left = u32::try_from(ticks).expect("half a block of words");
-        while out.left() > 0 {
-            let word_ticks = left / out.left() as u32;
-            out.push(Symbol::low(u64::from(word_ticks)));
-            left -= word_ticks;
-        }
-        self.low_ticks -= ticks;
-        self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(ticks);
-    }
-
-    /// Writes the end marker, after the rest that a turn of the next start relies on.
-    fn end(&mut self, out: &mut Out) {
-        let missing = self
-            .timing
-            .hold_ticks
-            .saturating_sub(self.low_ticks_since_step);
-        if missing > 0 {
-            self.low_ticks = missing.max(WORD_TICKS_MIN);
-            self.write_low(self.low_ticks.min(LOW_WORD_TICKS_MAX), out);
-            return;
-        }
-        let last_part_ticks = match out.count {
-            0 => u64::from(self.last_part_ticks),
-            count => out.fill.words[count - 1].second().0,
-        };
-        if last_part_ticks < PART_BEFORE_END_TICKS_MIN {
-            let word = Symbol::low(2 * PART_BEFORE_END_TICKS_MIN);
-            out.push(word);
-            self.low_ticks_since_step = self.low_ticks_since_step.saturating_add(word.ticks());
-            return;
-        }
-        out.push(Symbol::END);
-        self.ended = true;
-    }
-}
-
-impl Out {
-    fn new() -> Self {
-        Self {
-            fill: Fill {
-                words: [Symbol::END; REFILL_WORDS],
-                turn: None,
-                turn_by_ticks: 0,
-                step_words: 0,
-                sign: 1,
-                ticks: 0,
-            },
-            count: 0,
-            facts: HalfFacts::default(),
-        }
     }
 }

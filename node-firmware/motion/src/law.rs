@@ -10,42 +10,19 @@
 //!
 //! A jump start is a rise that does not begin at 0.
 
+mod approach;
+mod peak;
 mod piece;
+mod units;
 
+pub(crate) use approach::{Approach, Pace};
 pub use piece::{Bend, Piece, RISE_PIECES, Rise};
+pub use units::{
+    accel_from_hz_per_s, jerk_from_hz_per_s2, speed_from_hz, speed_from_interval, speed_from_mhz,
+};
 
-use piece::SEARCH_STEPS_MAX;
-
-use crate::{limits::TICK_HZ, real::Real, smooth::Curve};
+use crate::{real::Real, smooth::Curve};
 use keys::command::RampShape;
-
-/// Speed, steps per tick.
-pub fn speed_from_hz(speed_hz: u32) -> Real {
-    Real::of(u64::from(speed_hz)) / Real::of(TICK_HZ)
-}
-
-/// Speed, steps per tick.
-pub fn speed_from_mhz(speed_mhz: u64) -> Real {
-    Real::of(speed_mhz) / Real::of(1_000 * TICK_HZ)
-}
-
-/// Speed of one step in so many ticks, steps per tick.
-///
-/// # Panics
-/// The interval is 0.
-pub fn speed_from_interval(interval_ticks: u64) -> Real {
-    Real::of(1) / Real::of(interval_ticks)
-}
-
-/// Acceleration, steps per tick².
-pub fn accel_from_hz_per_s(accel_hz_per_s: u32) -> Real {
-    speed_from_hz(accel_hz_per_s) / Real::of(TICK_HZ)
-}
-
-/// Jerk, steps per tick³.
-pub fn jerk_from_hz_per_s2(jerk_hz_per_s2: u32) -> Real {
-    accel_from_hz_per_s(jerk_hz_per_s2) / Real::of(TICK_HZ)
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -403,146 +380,7 @@ impl Law {
             }
         }
     }
-
-    /// Returns the speed at which a rise from `from` and a fall to `to` meet if they make `way`
-    /// together, at most `speed_max`. The way suffices for the change from `from` to `to`.
-    pub fn peak(&self, way: Real, from: Real, to: Real, speed_max: Option<Real>) -> Real {
-        let most = |speed: Real| speed_max.map_or(speed, |max| speed.min(max));
-        match self.kind {
-            Kind::Constant => {
-                let square = self.accel * way + (from.squared() + to.squared()).half();
-                most(square.root().max(from).max(to))
-            }
-            Kind::Linear { .. } | Kind::Smooth { .. } => {
-                let sum = way + self.way_from_rest(from) + self.way_from_rest(to);
-                most(self.speed_after(sum.half()).max(from).max(to))
-            }
-            Kind::Jerk { jerk, swing, .. } if from == Real::ZERO && to == Real::ZERO => {
-                let least = (self.accel * swing.squared()).twice();
-                most(if way >= least {
-                    let root = (swing.squared() + (way / self.accel).shifted(2)).root();
-                    way.twice() / (swing + root)
-                } else {
-                    (way.squared() * jerk).shifted(-2).cube_root()
-                })
-            }
-            Kind::Jerk { .. } => {
-                if let Some(max) = speed_max
-                    && self.way(from, max) + self.way(to, max) <= way
-                {
-                    return max;
-                }
-                most(self.search_peak(way, from.max(to), from.min(to)))
-            }
-        }
-    }
-
-    /// Returns the speed at which rises of an S-curve from `high` and from `low` make `way`
-    /// together.
-    ///
-    /// Newton's method in u = √(gain / jerk) of the smaller gain: in it the way is convex, so that
-    /// it comes from above and never leaves the bounds.
-    fn search_peak(&self, way: Real, high: Real, low: Real) -> Real {
-        let Kind::Jerk {
-            jerk, swing, full, ..
-        } = self.kind
-        else {
-            return high;
-        };
-        // Constant acceleration needs less way, and so does jerk alone from rest.
-        let square = self.accel * way + (high.squared() + low.squared()).half();
-        let steady = (square.root() - high) / jerk;
-        let alone = (way.half() / jerk).cube_root();
-        let mut u = steady.root().min(alone);
-        // Duration of a rise by this gain, and what it is longer for each unit of gain more.
-        let rise = |gain: Real| {
-            if gain >= full {
-                (gain / self.accel + swing, Real::of(1) / self.accel)
-            } else {
-                let ticks = (gain / jerk).root().twice();
-                (ticks, ticks / gain.twice())
-            }
-        };
-        for _ in 0..SEARCH_STEPS_MAX {
-            if u.is_none() {
-                break;
-            }
-            let gain = jerk * u.squared();
-            let peak = high + gain;
-            // Of the larger gain, by the peak; of the smaller one, by u: its change by u is finite.
-            let (ticks, longer) = rise(peak - low);
-            let mean = (low + peak).half();
-            let (own_ticks, own_longer) = if gain >= full {
-                rise(gain)
-            } else {
-                (u.twice(), Real::of(1) / (jerk * u))
-            };
-            let own_mean = (high + peak).half();
-            let error = own_mean * own_ticks + mean * ticks - way;
-            let slope = (ticks + own_ticks).half() + mean * longer + own_mean * own_longer;
-            let change = error / (slope * jerk * u.twice());
-            u = u - change;
-            if change.is_none() || change < u.shifted(-SEARCH_BITS) {
-                break;
-            }
-        }
-        // No more way than there is, for all that was cut.
-        let peak = high + jerk * u.max(Real::ZERO).squared();
-        high.max(peak - peak.shifted(-PEAK_SLACK_BITS))
-    }
-
-    /// Returns the highest speed from which `to` is reached within `way`, at most `speed_max`.
-    pub fn speed_before(&self, way: Real, to: Real, speed_max: Real) -> Real {
-        match self.kind {
-            Kind::Jerk {
-                jerk, swing, full, ..
-            } => {
-                if speed_max <= to || self.way(to, speed_max) <= way {
-                    return speed_max;
-                }
-                if way.is_none() {
-                    return to;
-                }
-                if way >= (to.twice() + full) * swing {
-                    // The acceleration reaches its greatest: a square equation.
-                    let part = full.half();
-                    let square = (part - to).squared() + (self.accel * way).twice();
-                    return (square.root() - part).max(to).min(speed_max);
-                }
-                // way = (2·to + jerk·u²)·u with u = √(gain / jerk): Newton's method from above.
-                let mut u = (way / jerk).cube_root();
-                if !to.is_none() {
-                    u = u.min(way / to.twice());
-                }
-                for _ in 0..SEARCH_STEPS_MAX {
-                    let square = jerk * u.squared();
-                    let next = ((square * u).twice() + way) / (square + (square + to).twice());
-                    let change = u - next;
-                    u = next;
-                    if change.is_none() || change < u.shifted(-SEARCH_BITS) {
-                        break;
-                    }
-                }
-                let speed = to + jerk * u.squared();
-                to.max(speed - speed.shifted(-PEAK_SLACK_BITS))
-                    .min(speed_max)
-            }
-            Kind::Constant => (to.squared() + (self.accel * way).twice())
-                .root()
-                .min(speed_max),
-            Kind::Linear { .. } | Kind::Smooth { .. } => self
-                .speed_after(self.way_from_rest(to) + way)
-                .min(speed_max),
-        }
-    }
 }
-
-/// A search by Newton's method from above ends when it moves by less than 2⁻³⁰: the next step would
-/// be the square of that.
-const SEARCH_BITS: i32 = 30;
-
-/// A peak that was searched is lowered by 2⁻⁵⁴ of it.
-const PEAK_SLACK_BITS: i32 = 54;
 
 #[cfg(test)]
 mod tests;

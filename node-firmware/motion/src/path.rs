@@ -11,10 +11,12 @@
 //! Each phase counts from the end where it is slow, so that no time is the difference of two large
 //! numbers: the last edge before rest is as exact as the first one after it.
 
+mod change;
 mod phase;
 
-pub(crate) use phase::Span;
+pub(crate) use phase::{Course, Pass, Span};
 
+use change::Change;
 use phase::Phase;
 
 use crate::{
@@ -59,12 +61,18 @@ pub struct Path {
 
 impl Path {
     /// A path that has not begun.
-    pub fn at(begin: State) -> Self {
+    pub const fn at(begin: State) -> Self {
         Self {
             begin,
             phases: [Phase::rest(Real::ZERO, begin.place); PHASES_MAX],
             count: 0,
         }
+    }
+
+    /// Becomes one that has not begun, in place: a path has some 3 KB.
+    pub(crate) const fn restart(&mut self, begin: State) {
+        self.begin = begin;
+        self.count = 0;
     }
 
     /// Plans the fastest motion to the place `to_place`, with `to_speed` there.
@@ -104,7 +112,10 @@ impl Path {
                 let speed = self.end_state().speed;
                 self.go_on_below(to_place, to_speed, speed_max.max(speed), law)
             })
-            .or_else(|TooShort| self.go_on_below(to_place, to_speed, self.level_speed(law), law))
+            .or_else(|TooShort| {
+                let speed = self.level_speed(law);
+                self.go_on_below(to_place, to_speed, speed, law)
+            })
             .or_else(|TooShort| self.brake_on(to_place, to_speed, law))
     }
 
@@ -162,8 +173,7 @@ impl Path {
     /// Returns the highest speed that is reached within `way` from this state, at most `speed_max`.
     pub(crate) fn speed_reached(from: State, way: Real, speed_max: Real, law: &Law) -> Real {
         let State { speed, .. } = from;
-        let mut path = Self::at(from);
-        let reached = match path.under_way(law) {
+        let reached = match Change::of(&from, law) {
             None => None,
             Some(Change {
                 jerk,
@@ -178,142 +188,13 @@ impl Path {
                 (reached >= speed + gain).then_some(reached)
             }
             Some(_) => {
+                let mut path = Self::at(from);
                 let level = path.level_out(law);
                 let left = way - (path.end_steps() - from.place);
                 (!left.is_none()).then(|| law.speed_before(left, level, speed_max))
             }
         };
         reached.unwrap_or_else(|| law.speed_before(way, speed, speed_max))
-    }
-
-    /// An S-curve that speeds up goes on with that, as if the rise had begun a while ago: returns
-    /// whether it reaches a higher speed so than the one at which its acceleration could end.
-    fn rise_on(&mut self, to_place: Real, to_speed: Real, speed_max: Real, law: &Law) -> bool {
-        let Some(Change {
-            jerk,
-            since,
-            gain,
-            is_rise: true,
-        }) = self.under_way(law)
-        else {
-            return false;
-        };
-        let State {
-            place,
-            speed,
-            accel,
-        } = self.end_state();
-        let (begun, level) = ((speed - gain).max(Real::ZERO), speed + gain);
-        if speed + gain.shifted(-SLACK_BITS) < gain || level >= speed_max {
-            return false;
-        }
-        let made = (begun + (jerk * since.squared()).half().third()) * since;
-        let way = to_place - place + made;
-        let least = law.way(begun.min(to_speed), begun.max(to_speed));
-        if least > way {
-            return false;
-        }
-        let peak = law.peak(way, begun, to_speed, Some(speed_max));
-        if peak <= level {
-            return false;
-        }
-        for (index, piece) in law.rise(begun, peak).pieces().iter().enumerate() {
-            if index == 0 {
-                self.forward(Piece {
-                    ticks: piece.ticks - since,
-                    speed,
-                    accel,
-                    ..*piece
-                });
-            } else {
-                self.forward(*piece);
-            }
-        }
-        self.end_from(peak, to_place, to_speed, law);
-        true
-    }
-
-    /// An S-curve that slows down goes on with that down to `low`, as if the fall had begun a while
-    /// ago: returns whether it can.
-    fn fall_on(&mut self, low: Real, law: &Law) -> bool {
-        let Some(Change {
-            jerk,
-            since,
-            gain,
-            is_rise: false,
-        }) = self.under_way(law)
-        else {
-            return false;
-        };
-        let State { place, speed, .. } = self.end_state();
-        if speed + gain.shifted(-SLACK_BITS) < gain + low {
-            return false;
-        }
-        let begun = speed + gain;
-        let made = (begun - (jerk * since.squared()).half().third()) * since;
-        let down = law.rise(low, begun);
-        let end_ticks = self.ticks() - since + down.ticks();
-        self.backward(down.pieces(), end_ticks, place - made + down.way());
-        true
-    }
-
-    /// An S-curve that brakes for just this place goes on with that; returns whether it does. What
-    /// rounding leaves of the way would take long at no speed.
-    fn brakes_for(&mut self, to_place: Real, to_speed: Real, law: &Law) -> bool {
-        let before = self.count;
-        let slack = Real::of(1).shifted(-SLACK_BITS) + to_place.abs().shifted(-PLACE_BITS);
-        if self.fall_on(to_speed, law) && (self.end_steps() - to_place).abs() <= slack {
-            return true;
-        }
-        self.count = before;
-        false
-    }
-
-    /// Slows down on, first to a speed with which the rest of the way can be made: there is too
-    /// little of it to end the braking first.
-    fn brake_on(&mut self, to_place: Real, to_speed: Real, law: &Law) -> Result<(), TooShort> {
-        let before = *self;
-        let speed = self.end_state().speed;
-        let slack = Real::of(1).shifted(-SLACK_BITS);
-        let mut reach = |low: Real| {
-            *self = before;
-            let ends = self.fall_on(low, law);
-            ends.then(|| self.end_steps() + law.way(to_speed, low))
-        };
-        let mut low = to_speed;
-        if reach(low).is_none_or(|place| place > to_place + slack) {
-            *self = before;
-            return Err(TooShort);
-        }
-        let mut high = speed;
-        for _ in 0..BRAKE_STEPS_MAX {
-            let middle = (low + high).half();
-            if reach(middle).is_some_and(|place| place <= to_place) {
-                low = middle;
-            } else {
-                high = middle;
-            }
-        }
-        reach(low);
-        self.end_from(low, to_place, to_speed, law);
-        Ok(())
-    }
-
-    /// Returns the change of an S-curve's speed that is under way, if the law could have begun it.
-    fn under_way(&self, law: &Law) -> Option<Change> {
-        let jerk = law.jerk()?;
-        let accel = self.end_state().accel;
-        let slack = law.accel().shifted(-SLACK_BITS);
-        if accel.abs() <= slack || accel.abs() > law.accel() + slack {
-            return None;
-        }
-        let since = accel.abs() / jerk;
-        Some(Change {
-            jerk,
-            since,
-            gain: (since * accel.abs()).half(),
-            is_rise: !accel.is_negative(),
-        })
     }
 
     /// Slows down to rest as fast as the law allows, wherever that is.
@@ -357,22 +238,40 @@ impl Path {
         }
     }
 
-    /// Returns the place up to which the phase at `place` lasts, steps.
-    pub(crate) fn phase_end_steps(&self, place: Real) -> Real {
+    /// Returns the phase at `place` and how the place is passed; behind the end, a phase without
+    /// motion.
+    pub(crate) fn enter(&self, place: Real) -> (Span, Pass) {
         let phases = &self.phases[..self.count];
-        phases
-            .iter()
-            .find(|phase| place <= phase.end_steps)
-            .map_or_else(|| self.end_steps(), |phase| phase.end_steps)
+        match phases.iter().position(|phase| place <= phase.end_steps) {
+            Some(index) => Span::enter(index, &phases[index], place),
+            None => Span::enter(self.count, &self.end_phase(), place),
+        }
     }
 
-    /// Returns the phase at `place`; behind the end, one without motion.
-    pub(crate) fn span_at(&self, place: Real) -> Span {
+    /// Returns the place up to which a phase lasts, steps.
+    pub(crate) fn span_end_steps(&self, span: &Span) -> Real {
         let phases = &self.phases[..self.count];
-        match phases.iter().find(|phase| place <= phase.end_steps) {
-            Some(phase) => Span::of(phase),
-            None => Span::of(&Phase::rest(self.ticks(), self.end_steps())),
+        let phase = phases.get(span.index);
+        phase.map_or_else(|| self.end_steps(), |phase| phase.end_steps)
+    }
+
+    /// Returns how a place of this phase is passed, near `guess_ticks`.
+    pub(crate) fn pass(&self, span: &Span, place: Real, guess_ticks: Real) -> Pass {
+        match self.phases[..self.count].get(span.index) {
+            Some(phase) => span.pass(phase, place, guess_ticks),
+            None => span.pass(&self.end_phase(), place, guess_ticks),
         }
+    }
+
+    /// Tells when a place of a phase was found to be passed, near which the next ones are.
+    pub(crate) fn know(&self, span: &mut Span, place: Real, ticks: Real) {
+        if let Some(phase) = self.phases[..self.count].get(span.index) {
+            span.know(phase, place, ticks);
+        }
+    }
+
+    fn end_phase(&self) -> Phase {
+        Phase::rest(self.ticks(), self.end_steps())
     }
 
     /// Returns where it is, `ticks` after its begin.
@@ -444,44 +343,6 @@ impl Path {
         self.phases[first..self.count].reverse();
     }
 
-    /// Ends an acceleration by the law's jerk; returns the speed then.
-    fn level_out(&mut self, law: &Law) -> Real {
-        let State { speed, accel, .. } = self.end_state();
-        let Some(jerk) = law.level_jerk() else {
-            return speed;
-        };
-        // What rounding leaves of an acceleration that has ended.
-        if accel.abs() <= law.accel().shifted(-SLACK_BITS) {
-            return speed;
-        }
-        if speed.is_none() {
-            return Real::ZERO;
-        }
-        // A braking that the law would not have begun may need more jerk to end before it turns
-        // the motion round.
-        let least = accel.squared().half() / speed;
-        let jerk = if accel.is_negative() {
-            jerk.max(least)
-        } else {
-            jerk
-        };
-        let piece = Piece {
-            ticks: accel.abs() / jerk,
-            speed,
-            accel,
-            jerk: if accel.is_negative() { jerk } else { -jerk },
-            bend: None,
-        };
-        self.forward(piece);
-        piece.speed_at(piece.ticks).max(Real::ZERO)
-    }
-
-    /// Returns the speed that [`Path::level_out`] ends with.
-    fn level_speed(&self, law: &Law) -> Real {
-        let mut path = *self;
-        path.level_out(law)
-    }
-
     /// Slows down from `high` to `low`.
     fn fall(&mut self, high: Real, low: Real, law: &Law) {
         let down = law.rise(low, high);
@@ -490,22 +351,6 @@ impl Path {
         self.backward(down.pieces(), end_ticks, end_steps);
     }
 }
-
-/// A change of an S-curve's speed that is under way.
-struct Change {
-    jerk: Real,
-    /// How long ago it would have begun, ticks.
-    since: Real,
-    /// By how much speed has changed since, and will until the acceleration has ended.
-    gain: Real,
-    is_rise: bool,
-}
-
-/// Steps of the bisection for a braking that goes on.
-const BRAKE_STEPS_MAX: usize = 40;
-
-/// Places are right to less than 2⁻⁵⁰ of them.
-const PLACE_BITS: i32 = 50;
 
 /// Differences below 2⁻³⁰ of a way are rounding.
 const SLACK_BITS: i32 = 30;

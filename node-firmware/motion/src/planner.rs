@@ -15,26 +15,28 @@
 use crate::{
     axis::Axis,
     limits::{CHANNELS, WORD_TICKS_MIN},
-    lookahead::{Line, LookAhead},
+    lookahead::{Line, Lines, LookAhead},
     path::{Path, State},
     profile::Timing,
     real::Real,
-    segment::{Direction, Segment},
+    segment::Direction,
     steps::{Exit, Moment, Steps},
 };
-use keys::Command;
 
 mod brake;
 mod change;
 mod raw;
 mod stretch;
+mod tail;
+mod way;
 mod ways;
 
 pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
-pub(crate) use ways::Left;
+pub(crate) use tail::Tail;
+pub(crate) use way::Left;
 
 use stretch::{Ease, Goal, Stretch};
-use ways::Way;
+use way::Way;
 
 /// What is known of a ramp or line when it begins.
 #[derive(Clone, Copy, Debug)]
@@ -61,6 +63,11 @@ pub(crate) struct Split {
     pub(crate) base_steps: [i64; CHANNELS],
 }
 
+/// So many stretches are forgotten at once: those behind them are moved.
+const RETIRED_MIN: usize = 8;
+
+const _: () = assert!(RETIRED_MIN < STRETCHES_MAX / 2);
+
 /// Longest way of one drive, steps: 360,000 years at 200 kHz.
 pub(crate) const WAY_STEPS_MAX: i128 = 1 << 61;
 
@@ -72,81 +79,6 @@ const WHOLE_BITS: i32 = 20;
 
 fn timing_of(axes: &[Axis]) -> [Timing; CHANNELS] {
     core::array::from_fn(|index| axes.get(index).unwrap_or(&axes[0]).timing())
-}
-
-/// Where one axis' segments end.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Tail {
-    /// Planned rest since the last step's high time, saturating.
-    low_ticks: u64,
-    direction: Option<Direction>,
-    /// Up to where segments are written, while a path is.
-    pub(crate) at: u64,
-    /// An edge that is not written: its interval depends on what comes next.
-    pub(crate) edge_at: Option<u64>,
-}
-
-impl Tail {
-    const REST: Self = Self {
-        low_ticks: u64::MAX,
-        direction: None,
-        at: 0,
-        edge_at: None,
-    };
-
-    /// Writes what comes before an edge at `at`, turned to `direction`. Returns its tick: up to two
-    /// off where the hardware cannot rest so shortly, which only a change in flight asks for.
-    pub(crate) fn approach(&mut self, axis: &mut Axis, at: u64, direction: Direction) -> u64 {
-        let at = match self.edge_at {
-            Some(edge) => {
-                let at = at.max(edge + axis.timing().interval_ticks_min());
-                self.release_edge(axis, at);
-                at
-            }
-            // Less than a word cannot be rested: the nearer of both ends.
-            None if at > self.at + WORD_TICKS_MIN / 2 => {
-                let at = at.max(self.at + WORD_TICKS_MIN);
-                self.rest(axis, at);
-                at
-            }
-            None => self.at,
-        };
-        if self.direction != Some(direction) {
-            axis.push(Segment::Turn { direction });
-            self.direction = Some(direction);
-        }
-        at
-    }
-
-    /// Writes steps that end at `until`.
-    pub(crate) fn steps(&mut self, axis: &mut Axis, segment: Segment, until: u64) {
-        axis.push(segment);
-        self.at = until;
-        self.edge_at = None;
-        self.low_ticks = 0;
-    }
-
-    /// Writes the edge that waits, with the time up to `until`.
-    pub(crate) fn release_edge(&mut self, axis: &mut Axis, until: u64) {
-        if let Some(edge) = self.edge_at.take() {
-            let ticks = until - edge;
-            axis.push(Segment::steady(1, ticks));
-            self.low_ticks = ticks - axis.timing().high_of(ticks);
-            self.at = until;
-        }
-    }
-
-    /// Rests up to `until`.
-    pub(crate) fn rest(&mut self, axis: &mut Axis, until: u64) {
-        if self.edge_at.is_some() {
-            self.release_edge(axis, until);
-        } else if until > self.at {
-            let ticks = until - self.at;
-            axis.push(Segment::Low { ticks });
-            self.low_ticks = self.low_ticks.saturating_add(ticks);
-            self.at = until;
-        }
-    }
 }
 
 /// How the last line is left: speed and acceleration of the tool, and when.
@@ -172,8 +104,9 @@ pub(crate) struct Planner {
     count: usize,
     /// Index of the stretch that is written next.
     writing: usize,
-    /// What is not yet written of the one before.
-    steps: Option<Steps<CHANNELS>>,
+    /// What is not yet written of the one before, if anything is. In place: it has some 4 KB.
+    steps: Steps<CHANNELS>,
+    is_writing: bool,
     left: Option<Exited>,
     ahead: LookAhead,
     /// What was encoded when the plan was left last.
@@ -214,7 +147,8 @@ impl Planner {
             stretches: [None; STRETCHES_MAX],
             count: 0,
             writing: 0,
-            steps: None,
+            steps: Steps::NONE,
+            is_writing: false,
             left: None,
             ahead: LookAhead::new(),
             rewound: [Made {
@@ -264,7 +198,7 @@ impl Planner {
     /// Returns whether something of a path is not written.
     pub(crate) fn is_unfinished(&self) -> bool {
         let ways = self.ways.iter().any(Way::is_unfinished);
-        ways || self.left.is_some() || self.steps.is_some() || self.writing < self.count
+        ways || self.left.is_some() || self.is_writing || self.writing < self.count
     }
 
     /// All axes rest, and nothing is planned.
@@ -285,7 +219,7 @@ impl Planner {
     fn drop_path(&mut self) {
         self.count = 0;
         self.writing = 0;
-        self.steps = None;
+        self.is_writing = false;
         self.left = None;
         self.ahead.clear();
         self.ways.iter_mut().for_each(Way::clear);
@@ -310,7 +244,7 @@ impl Planner {
         self.count > 0
     }
 
-    /// Forgets what is encoded on every axis.
+    /// Forgets what is encoded on every axis: several stretches at once, or the last ones.
     pub(crate) fn retire(&mut self, encoded_ticks: u64) {
         let ended = |stretch: &Option<Stretch>| {
             stretch.is_none_or(|stretch| stretch.end_ticks <= encoded_ticks)
@@ -319,7 +253,7 @@ impl Planner {
             .iter()
             .take_while(|stretch| ended(stretch))
             .count();
-        if done > 0 {
+        if done >= RETIRED_MIN || done == self.count {
             self.stretches.copy_within(done..self.count, 0);
             self.count -= done;
             self.writing -= done;
@@ -329,31 +263,42 @@ impl Planner {
     /// Goes on with the path. Returns whether it is written to its end.
     pub(crate) fn write(&mut self, axes: &mut [Axis]) -> bool {
         loop {
-            if let Some(steps) = self.steps.as_mut() {
-                if !steps.write(axes, &mut self.tails[..axes.len()]) {
+            if self.is_writing {
+                if !self.steps.write(axes, &mut self.tails[..axes.len()]) {
                     return false;
                 }
-                self.steps = None;
+                self.is_writing = false;
             }
             if self.writing == self.count {
                 return true;
             }
-            let stretch = self.stretches[self.writing].expect("below the count");
+            let stretch = self.stretches[self.writing].as_ref();
+            let stretch = stretch.expect("below the count");
             let timing = timing_of(axes);
-            let steps = stretch.steps(&stretch.path(), &timing[..axes.len()]);
-            self.begin_writing(&stretch, steps);
+            stretch.plan(self.steps.path_mut());
+            stretch.take_steps(&mut self.steps, &timing[..axes.len()]);
+            self.begin_writing();
         }
     }
 
-    /// Writes the next stretch, but for what was encoded of it before the plan was left.
-    fn begin_writing(&mut self, stretch: &Stretch, mut steps: Steps<CHANNELS>) {
+    /// Writes the next stretch, whose steps are taken, but for what was encoded of it before the plan
+    /// was left.
+    fn begin_writing(&mut self) {
+        let stretch = self.stretches[self.writing].as_ref();
+        let stretch = stretch.expect("below the count");
         for (index, rewound) in self.rewound.iter().enumerate() {
             if rewound.at > stretch.begin.ticks {
-                steps.skip(index, rewound.booked_steps - stretch.base_steps[index]);
+                let booked = rewound.booked_steps - stretch.base_steps[index];
+                self.steps.skip(index, booked);
             }
         }
-        self.steps = Some(steps);
+        self.is_writing = true;
         self.writing += 1;
+    }
+
+    /// Returns what is being written, if anything is.
+    fn written(&self) -> Option<&Steps<CHANNELS>> {
+        self.is_writing.then_some(&self.steps)
     }
 
     /// Begins a ramp or a line at `begin` (or where the last line is left, at speed). `behind` are
@@ -362,7 +307,7 @@ impl Planner {
         &mut self,
         line: Line,
         jump_steps: u16,
-        behind: impl Iterator<Item = Command> + Clone,
+        behind: impl Lines,
         begin: u64,
         base_steps: [i64; CHANNELS],
         axes: &[Axis],
@@ -405,7 +350,7 @@ impl Planner {
         &mut self,
         mut line: Line,
         from: State,
-        behind: impl Iterator<Item = Command> + Clone,
+        behind: impl Lines,
         begin: Moment,
         moving: bool,
         base_steps: [i64; CHANNELS],
@@ -426,11 +371,16 @@ impl Planner {
             self.ahead.clear();
             Goal::Rest(Ease::of(&line, from, exit_speed, behind))
         } else {
-            let way = Real::of(line.major_steps) - from.place;
-            // No faster than can be reached within the line.
-            let reached = Path::speed_reached(from, way, line.speed_max, &line.law);
             let exit_speed = self.ahead.exit_speed(&line, behind, within, timing);
-            Goal::Leave(exit_speed.min(reached))
+            // No faster than can be reached within the line.
+            let slows = from.accel == Real::ZERO && exit_speed <= from.speed;
+            if slows && from.speed <= line.speed_max {
+                Goal::Leave(exit_speed)
+            } else {
+                let way = Real::of(line.major_steps) - from.place;
+                let reached = Path::speed_reached(from, way, line.speed_max, &line.law);
+                Goal::Leave(exit_speed.min(reached))
+            }
         };
         let mut stretch = Stretch {
             line,
@@ -443,23 +393,30 @@ impl Planner {
             share: self.share,
             base_steps,
         };
-        let path = stretch.path();
+        assert!(!self.is_writing, "all before is written, or left");
+        let path = self.steps.path_mut();
+        stretch.plan(path);
         let end = path.end_state();
-        let whole = Real::of(line.major_steps) - path.end_steps();
+        let end_steps = path.end_steps();
+        let whole = Real::of(line.major_steps) - end_steps;
         let held = self.holding && whole.shifted(WHOLE_BITS).rounded() > 0;
         // A smoothstep rests from its first speed.
         let moves = line.joins && (end.speed * Real::of(SLOWEST_TICKS)).fixed(0) > 0;
         if moves && !held {
             stretch.exit = Exit::Moving;
         }
-        let mut steps = stretch.steps(&path, timing);
+        stretch.take_steps(&mut self.steps, timing);
         if !moving {
-            self.make_room_for_turns(&mut steps, begin.ticks, axes);
+            let missing_ticks = missing_rest(&self.steps, begin.ticks, axes, &self.tails);
+            if missing_ticks > 0 {
+                self.steps.delay(missing_ticks.max(WORD_TICKS_MIN));
+            }
             for tail in &mut self.tails {
                 tail.at = begin.ticks;
             }
-            stretch.begin = steps.begin();
+            stretch.begin = self.steps.begin();
         }
+        let steps = &self.steps;
         stretch.end_ticks = steps.end().ticks;
         if stretch.exit == Exit::Moving {
             self.left = Some(Exited {
@@ -479,7 +436,7 @@ impl Planner {
             held: held.then(|| Split {
                 line: unshared(line, self.share),
                 from: State {
-                    place: path.end_steps(),
+                    place: end_steps,
                     ..State::REST
                 },
                 at: steps.end(),
@@ -489,8 +446,8 @@ impl Planner {
         assert!(self.count < STRETCHES_MAX, "asked before");
         self.stretches[self.count] = Some(stretch);
         self.count += 1;
-        if self.steps.is_none() && self.writing + 1 == self.count {
-            self.begin_writing(&stretch, steps);
+        if self.writing + 1 == self.count {
+            self.begin_writing();
         }
         begun
     }
@@ -511,22 +468,21 @@ impl Planner {
         self.holding = holding;
         self.ahead.clear();
     }
+}
 
-    /// Delays the begin until every axis that turns has rested for long enough.
-    fn make_room_for_turns(&self, steps: &mut Steps<CHANNELS>, begin: u64, axes: &[Axis]) {
-        let mut missing_ticks = 0;
-        for (index, (axis, tail)) in axes.iter().zip(&self.tails).enumerate() {
-            let Some((edge, direction)) = steps.first_edge(index) else {
-                continue;
-            };
-            if tail.direction != Some(direction) {
-                let rest_ticks = tail.low_ticks.saturating_add(edge - begin);
-                let window_ticks = axis.timing().window_ticks();
-                missing_ticks = missing_ticks.max(window_ticks.saturating_sub(rest_ticks));
-            }
-        }
-        if missing_ticks > 0 {
-            steps.delay(missing_ticks.max(WORD_TICKS_MIN));
+/// Returns what the begin must be delayed for, ticks, so that every axis that turns has rested for long
+/// enough.
+fn missing_rest(steps: &Steps<CHANNELS>, begin: u64, axes: &[Axis], tails: &[Tail]) -> u64 {
+    let mut missing_ticks = 0;
+    for (index, (axis, tail)) in axes.iter().zip(tails).enumerate() {
+        let Some((edge, direction)) = steps.first_edge(index) else {
+            continue;
+        };
+        if tail.direction != Some(direction) {
+            let rest_ticks = tail.low_ticks.saturating_add(edge - begin);
+            let window_ticks = axis.timing().window_ticks();
+            missing_ticks = missing_ticks.max(window_ticks.saturating_sub(rest_ticks));
         }
     }
+    missing_ticks
 }

@@ -101,6 +101,40 @@ impl Real {
         self * TWO_THIRDS.half()
     }
 
+    /// Returns it divided by an integer that is not 0, right to 2⁻⁴⁰.
+    #[must_use]
+    pub(crate) fn over(self, divisor: u32) -> Self {
+        if divisor.is_power_of_two() {
+            return self.shifted(-(divisor.trailing_zeros() as i32));
+        }
+        if divisor >= OVER_MAX {
+            return self / Self::of(u64::from(divisor));
+        }
+        let size = self.mantissa.unsigned_abs();
+        let (high, low) = ((size >> 32) as u32, size as u32);
+        // Digit by digit: what is left of one has 20 bits, so each next one may have 12.
+        let (first, left) = (high / divisor, high % divisor);
+        let part = left << 12 | low >> 20;
+        let (second, left) = (part / divisor, part % divisor);
+        let part = left << 12 | (low >> 8) & 0xfff;
+        let (third, left) = (part / divisor, part % divisor);
+        let last = (left << 8 | low & 0xff) / divisor;
+        let quotient = u64::from(first) << 32
+            | u64::from(second) << 20
+            | u64::from(third) << 8
+            | u64::from(last);
+        Self::from_size(quotient, self.mantissa < 0, self.exponent)
+    }
+
+    /// Returns its logarithm to base 2 in 2⁻¹⁶, less than 2⁻⁶ off; it is more than 0.
+    pub(crate) const fn log(self) -> i32 {
+        let share = (self.mantissa >> (BITS - 1 - 16)) as u32 & 0xffff;
+        // log₂(1 + x) is near to x + 0.34·x·(1 − x).
+        let bent = (share * (0x1_0000 - share)) >> 16;
+        let log = share + ((bent * 22_300) >> 16);
+        ((self.exponent + BITS - 1) << 16) + log as i32
+    }
+
     /// Returns its square.
     #[must_use]
     pub fn squared(self) -> Self {
@@ -169,6 +203,20 @@ impl Real {
         self.mantissa >> shift
     }
 
+    /// Returns the next integer below it and what it is more than that; of less than 2⁶² in size.
+    pub(crate) fn split(self) -> (i64, Self) {
+        let whole = self.fixed(0);
+        if self.exponent >= 0 {
+            return (whole, Self::ZERO);
+        }
+        if self.exponent < -BITS {
+            let part = if whole < 0 { self + Self::of(1) } else { self };
+            return (whole, part);
+        }
+        let part = self.mantissa - (whole << -self.exponent);
+        (whole, Self::from_size(part as u64, false, self.exponent))
+    }
+
     /// Returns the smaller of both.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
@@ -181,6 +229,9 @@ impl Real {
         if other > self { other } else { self }
     }
 }
+
+/// [`Real::over`] takes what a digit of 12 bits beside it lets fit 32 bits.
+const OVER_MAX: u32 = 1 << 20;
 
 /// 2/3, cut.
 const TWO_THIRDS: Real = Real {
@@ -237,7 +288,13 @@ impl Add for Real {
         if sum == 0 {
             return Self::ZERO;
         }
-        let move_up = sum.unsigned_abs().leading_zeros() as i32 - (64 - BITS);
+        let size = sum.unsigned_abs();
+        // Mostly it is normal or one bit too large, and not every machine counts zeros quickly.
+        let move_up = match size >> (BITS - 1) {
+            0 => size.leading_zeros() as i32 - (64 - BITS),
+            1 => 0,
+            _ => -1,
+        };
         let mantissa = if move_up >= 0 {
             sum << move_up
         } else {

@@ -84,7 +84,7 @@ fn count_there() -> HashMap<(usize, u32), Counts> {
             .split(' ')
             .map_while(|word| word.parse().ok())
             .collect();
-        if let [index, size, words, refill, plan, ticks, accesses] = numbers[..] {
+        if let [index, size, words, refill, plan, ticks, accesses, ..] = numbers[..] {
             let counts = Counts {
                 words: words as f64,
                 refill: refill as f64,

@@ -87,7 +87,12 @@ pub(crate) struct Lane {
     playing: bool,
     counter: Option<i16>,
     counted_steps: i64,
+    /// What the first words of the block hold: who writes the same again need not.
+    held: [u32; BLOCK_WORDS],
 }
+
+/// No word is written like this: both halves high.
+const UNKNOWN_WORD: u32 = u32::MAX;
 
 impl Lane {
     /// Stands for a lane until it is told its place.
@@ -124,6 +129,7 @@ impl Lane {
             playing: false,
             counter: None,
             counted_steps: 0,
+            held: [UNKNOWN_WORD; BLOCK_WORDS],
         }
     }
 
@@ -137,6 +143,11 @@ impl Lane {
 
     pub(crate) fn is_playing(&self, registers: &impl Registers) -> bool {
         self.playing && registers.ended() & self.mask() == 0
+    }
+
+    /// The same, given which channels have ended.
+    pub(crate) fn plays(&self, ended: u8) -> bool {
+        self.playing && ended & self.mask() == 0
     }
 
     /// Returns whether a stream was begun and not settled since.
@@ -167,9 +178,16 @@ impl Lane {
         self.unit_count() > 2
     }
 
-    /// Returns the word of the RMT's RAM at a place of the block; places up to twice the block wrap.
-    fn ram_word(&self, place: usize) -> usize {
-        self.place.first_word() + place.checked_sub(self.words()).unwrap_or(place)
+    /// Writes a word at a place of the block, unless it is there; places up to twice the block wrap.
+    fn put(&mut self, place: usize, word: u32, registers: &mut impl Registers) {
+        let place = place.checked_sub(self.words()).unwrap_or(place);
+        if let Some(held) = self.held.get_mut(place) {
+            if *held == word {
+                return;
+            }
+            *held = word;
+        }
+        registers.write_word(self.place.first_word() + place, word);
     }
 
     /// Returns the place of one of the units that the block holds.
@@ -195,6 +213,7 @@ impl Lane {
         self.read_place = 0;
         self.turned_units = 0;
         self.playing = false;
+        self.held = [UNKNOWN_WORD; BLOCK_WORDS];
     }
 
     /// Makes what a cut stream still owed to the direction pin, and the turns before the second
@@ -220,7 +239,7 @@ impl Lane {
         let mut left = ticks;
         for index in 0..REFILL_WORDS {
             let word_ticks = left / (REFILL_WORDS - index) as u64;
-            registers.write_word(self.ram_word(index), Symbol::low(word_ticks).0);
+            self.put(index, Symbol::low(word_ticks).0, registers);
             left -= word_ticks;
         }
         let count = self.written_units.min(self.unit_count() as u64) as usize;
@@ -230,9 +249,8 @@ impl Lane {
         }
     }
 
-    /// Reads the pointer and the counter.
+    /// Reads the pointer. The counter must be read before it has gone round, once in 32,767 steps.
     pub(crate) fn look(&mut self, registers: &impl Registers) {
-        self.count(registers);
         let since = self.fetched_since(registers);
         self.fetched_words += since as u64;
         self.read_place += since;
@@ -267,8 +285,8 @@ impl Lane {
         words_between(self.read_place, read, self.words())
     }
 
-    /// Extends the counter to 64 bits.
-    fn count(&mut self, registers: &impl Registers) {
+    /// Reads the counter and extends it to 64 bits.
+    pub(crate) fn count(&mut self, registers: &impl Registers) {
         if let Some(counter) = registers.counter(self.axis) {
             let since = counter.wrapping_sub(self.counter.unwrap_or(0));
             self.counted_steps += i64::from(since);
@@ -313,13 +331,13 @@ impl Lane {
 
     /// Returns whether another unit can be written, given the last look. Rests are not written far
     /// ahead: what lies in the block cannot be changed any more.
-    pub(crate) fn has_room(&self, now: u64, enough_ticks: u64) -> bool {
+    pub(crate) fn has_room(&self, registers: &impl Registers, enough_ticks: u64) -> bool {
         let ahead = self.written_units.saturating_sub(self.fetched_units);
         if ahead < 2 {
             return true;
         }
         let most = self.unit_count() as u64 - u64::from(self.is_guarded());
-        ahead < most && self.end_at() < now.saturating_add(enough_ticks)
+        ahead < most && self.end_at() < registers.now().saturating_add(enough_ticks)
     }
 
     /// Returns when the last word that is written ends.
@@ -341,13 +359,27 @@ impl Lane {
         };
         let first = self.next_slot * REFILL_WORDS;
         if self.is_guarded() {
-            let guard = self.ram_word(first + REFILL_WORDS);
-            registers.write_word(guard, Symbol::END.0);
+            self.put(first + REFILL_WORDS, Symbol::END.0, registers);
         }
         // A unit never wraps.
-        let first = self.place.first_word() + first;
-        for (index, word) in fill.words.iter().enumerate().rev() {
-            registers.write_word(first + index, word.0);
+        let in_ram = self.place.first_word() + first;
+        let held = self.held.get_mut(first..);
+        match held.and_then(|held| held.first_chunk_mut::<REFILL_WORDS>()) {
+            // At speed an interval is mostly that of a block before.
+            Some(held) => {
+                for index in (0..REFILL_WORDS).rev() {
+                    let word = fill.words[index].0;
+                    if held[index] != word {
+                        held[index] = word;
+                        registers.write_word(in_ram + index, word);
+                    }
+                }
+            }
+            None => {
+                for (index, word) in fill.words.iter().enumerate().rev() {
+                    registers.write_word(in_ram + index, word.0);
+                }
+            }
         }
         self.units[self.next_slot] = Unit {
             steps: fill.step_words(),
@@ -412,7 +444,7 @@ impl Lane {
         self.look(registers);
         let ahead = 1 + CUT_MARGIN_WORDS;
         let end = self.fetched_words + ahead as u64;
-        registers.write_word(self.ram_word(self.read_place + ahead), Symbol::END.0);
+        self.put(self.read_place + ahead, Symbol::END.0, registers);
         self.look(registers);
         (self.fetched_words < end).then_some(end)
     }

@@ -33,5 +33,5 @@ mod streamer;
 
 pub use layout::{Layout, Place};
 pub use motion::limits::REFILL_WORDS;
-pub use registers::{ChannelConfig, ChannelStatus, Registers};
+pub use registers::{ChannelConfig, ChannelStatus, Events, Registers};
 pub use streamer::{Attention, START_TICKS, Streamer, StreamerConfig};

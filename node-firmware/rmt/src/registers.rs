@@ -35,6 +35,15 @@ pub struct ChannelStatus {
     pub idle: bool,
 }
 
+/// What has happened since it was cleared; bit n is channel n.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Events {
+    /// The threshold was reached.
+    pub reached: u8,
+    /// The end marker was reached.
+    pub ended: u8,
+}
+
 /// The pulse hardware: the RMT, and what surrounds it at the pins.
 ///
 /// Sets of channels are masks: bit n is channel n.
@@ -70,6 +79,16 @@ pub trait Registers {
     /// Reads INT_RAW: the channels whose end marker was reached since
     /// [`Registers::clear_events`].
     fn ended(&self) -> u8;
+
+    /// Reads INT_RAW: [`Registers::reached`] and [`Registers::ended`]. One access where the chip has
+    /// both in one register, as it should.
+    #[inline(always)]
+    fn events(&self) -> Events {
+        Events {
+            reached: self.reached(),
+            ended: self.ended(),
+        }
+    }
 
     /// Writes INT_CLR: the threshold events of these channels, and their ends too if `ends`.
     fn clear_events(&mut self, channels: u8, ends: bool);

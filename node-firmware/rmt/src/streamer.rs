@@ -9,11 +9,11 @@
 use crate::{
     lane::{Course, Lane},
     layout::Place,
-    registers::{ChannelConfig, Registers},
+    registers::{ChannelConfig, Events, Registers},
 };
 use keys::{AxisId, status::FaultCode};
 use motion::{
-    Axis, StepBackend, TICKS_PER_US, Ticks,
+    Axis, Fill, StepBackend, TICKS_PER_US, Ticks,
     limits::{CHANNELS, LOW_WORD_TICKS_MAX, REFILL_WORDS},
 };
 
@@ -59,8 +59,12 @@ pub struct Streamer<R, A> {
     /// Those of the axes come first.
     lanes: [Lane; CHANNELS],
     axes: A,
+    /// Where units are put together.
+    fill: Fill,
     divider: u8,
     held: bool,
+    /// Whose interrupts are let in.
+    enabled: u8,
     fault: Option<FaultCode>,
 }
 
@@ -84,8 +88,10 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
             registers,
             lanes,
             axes,
+            fill: Fill::END,
             divider: config.divider,
             held: true,
+            enabled: 0,
             fault: None,
         }
     }
@@ -93,9 +99,10 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
     /// Sets the hardware, at rest: pins low, interrupts held off until [`Streamer::resume`].
     pub fn begin(&mut self) {
         self.registers.enable_interrupts(0);
+        self.enabled = 0;
         for index in 0..self.count() {
             self.configure(index);
-            self.lanes[index].look(&self.registers);
+            self.lanes[index].count(&self.registers);
         }
     }
 
@@ -135,6 +142,7 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
     pub fn hold(&mut self) {
         if !self.held {
             self.held = true;
+            self.enabled = 0;
             self.registers.enable_interrupts(0);
         }
     }
@@ -143,23 +151,26 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
     /// turn of the planning task.
     pub fn resume(&mut self) {
         if self.held {
-            self.refill(true);
+            let ended = self.refill(true);
             self.held = false;
-            self.let_in();
+            self.let_in(ended);
         }
     }
 
     /// Enables the interrupts of those that play. An end stays pending, as the mark of a channel
     /// that is at rest, and must not interrupt again and again.
-    fn let_in(&mut self) {
-        let mask = self.mask() & !self.registers.ended();
-        self.registers.enable_interrupts(mask);
+    fn let_in(&mut self, ended: u8) {
+        let mask = self.mask() & !ended;
+        if mask != self.enabled {
+            self.enabled = mask;
+            self.registers.enable_interrupts(mask);
+        }
     }
 
     /// The refill interrupt. Bounded: at most one block of words for each axis.
     pub fn on_interrupt(&mut self) -> Attention {
-        self.refill(true);
-        self.let_in();
+        let ended = self.refill(true);
+        self.let_in(ended);
         Attention {
             wake: self.fault.is_some() || self.axes.as_ref().iter().any(Axis::wants_planning),
         }
@@ -171,9 +182,9 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
     }
 
     /// Refills every block. `all`: also from axes that have little ahead, whose planner may be in
-    /// the middle of a change.
-    fn refill(&mut self, all: bool) {
-        let reached = self.registers.reached();
+    /// the middle of a change. Returns which channels have ended.
+    fn refill(&mut self, all: bool) -> u8 {
+        let Events { reached, mut ended } = self.registers.events();
         if all {
             // Otherwise an event that is not answered yet must come up again. So must one that came
             // since they were read.
@@ -184,41 +195,41 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
             for index in 0..self.count() {
                 if all || self.axes.as_ref()[index].can_spare() {
                     let leaves = reached & self.lanes[index].mask() != 0;
-                    soon |= self.refill_axis(index, leaves);
+                    soon |= self.refill_axis(index, leaves, ended);
                 }
             }
             // What is due within a word is waited for: no other event would come.
             if !(all && soon) {
-                return;
+                return ended;
             }
+            ended = self.registers.ended();
         }
     }
 
     /// Refills one block. Returns whether it must be looked at again within a word; `reached`: its
-    /// threshold was.
-    fn refill_axis(&mut self, index: usize, reached: bool) -> bool {
+    /// threshold was; `ended`: which channels have.
+    fn refill_axis(&mut self, index: usize, reached: bool, ended: u8) -> bool {
         let Self {
             registers,
             lanes,
             axes,
+            fill,
             ..
         } = self;
         let (lane, axis) = (&mut lanes[index], &mut axes.as_mut()[index]);
-        if !lane.is_playing(registers) {
+        if !lane.plays(ended) {
             // At rest, or at the end marker behind what was written.
             if lane.has_begun() && !axis.has_ended() {
                 self.give_up();
             }
             return false;
         }
+        lane.count(registers);
         lane.look(registers);
         let mut course = lane.turn(registers);
-        while course != Course::Late
-            && !axis.has_ended()
-            && lane.has_room(registers.now(), AHEAD_TICKS)
-        {
+        while course != Course::Late && !axis.has_ended() && lane.has_room(registers, AHEAD_TICKS) {
             let due_at = lane.due_at();
-            write_unit(lane, axis, registers);
+            write_unit(lane, axis, fill, registers);
             lane.look(registers);
             course = lane.judge(due_at, registers.now());
             if course != Course::Late {
@@ -301,15 +312,15 @@ impl<R: Registers, A: AsRef<[Axis]> + AsMut<[Axis]>> Streamer<R, A> {
             lane.reset();
             let fill = axis.lead_in(lead_ticks);
             lane.write(&fill, &mut self.registers);
-            write_unit(lane, axis, &mut self.registers);
+            write_unit(lane, axis, &mut self.fill, &mut self.registers);
         }
     }
 }
 
 /// Fills and writes the next unit of an axis.
-fn write_unit(lane: &mut Lane, axis: &mut Axis, registers: &mut impl Registers) {
-    let fill = axis.fill(lane.next_half());
-    lane.write(&fill, registers);
+fn write_unit(lane: &mut Lane, axis: &mut Axis, fill: &mut Fill, registers: &mut impl Registers) {
+    axis.fill_into(lane.next_half(), fill);
+    lane.write(fill, registers);
 }
 
 fn stop_channel(lane: &Lane, registers: &mut impl Registers) {

@@ -131,6 +131,38 @@ fn silicons() -> impl Iterator<Item = Silicon> + Clone {
 }
 
 #[test]
+fn a_word_that_the_block_holds_is_not_written_again() {
+    let fast = |speed_hz| Ramp {
+        speed_hz,
+        accel_hz_per_s: 2_000_000,
+        shape: keys::command::RampShape::Trapezoid {
+            linear_steps: 0,
+            jump_steps: 0,
+        },
+    };
+    // Whole ticks, and intervals that take turns.
+    for (speed_hz, percent_max) in [(100_000, 75), (97_777, 90)] {
+        let commands = [Command::Ramp {
+            axis: X,
+            steps: 40_000,
+            ramp: fast(speed_hz),
+        }];
+        let places = Layout::FOUR.places::<4>();
+        let lateness = Lateness::default();
+        let (bench, edges) = driven(&commands, places, Silicon::default(), lateness);
+        assert_eq!(bench.fault(), None);
+        assert_eq!(edges, emulated(&commands, 4));
+        let writes = bench.motion.backend().model.borrow().writes;
+        let words = edges[0].len() as u64;
+        // The other axes rest in long words, all alike.
+        assert!(
+            100 * writes < percent_max * words,
+            "{speed_hz} Hz: {writes} writes for {words} words"
+        );
+    }
+}
+
+#[test]
 fn the_pulses_are_those_of_the_emulator_whatever_the_prefetch() {
     for (seed, silicon) in (11..).zip(silicons().cycle().take(30)) {
         println!("seed {seed}");

@@ -11,7 +11,7 @@ impl Encoder {
     /// those that need one word each. Returns whether there were any.
     ///
     /// Where steps are fast, most of all work is done here, so it is done in 32 bits.
-    pub(super) fn run(&mut self, out: &mut Out) -> bool {
+    pub(super) fn run(&mut self, out: &mut Out<'_>) -> bool {
         let count = out.left().min(self.steps_left as usize - 1);
         let after = self.interval + self.change * count as i64;
         let (short, long) = if self.change < 0 {
@@ -118,6 +118,7 @@ mod tests {
     use super::*;
     use crate::{
         AxisProfile,
+        encoder::Fill,
         limits::{PART_BEFORE_END_TICKS_MIN, REFILL_WORDS, TICK_HZ},
         profile::Timing,
         segment::{Segment, SegmentRing},
@@ -129,11 +130,12 @@ mod tests {
         let mut segments = SegmentRing::new();
         segments.push(segment);
         let mut encoder = Encoder::new(Timing::from(profile));
-        encoder.lead_in(10_000);
+        let mut fill = Fill::END;
+        encoder.lead_in(10_000, &mut fill);
         let (mut edges, mut at) = (Vec::new(), 0);
         let mut last_part_ticks = u64::MAX;
         while !encoder.has_ended() {
-            let fill = encoder.fill(&mut segments, u64::MAX);
+            encoder.fill(&mut segments, u64::MAX, &mut fill);
             let end = fill.words.iter().position(|word| word.is_end());
             for word in &fill.words[..end.unwrap_or(REFILL_WORDS)] {
                 last_part_ticks = word.second().0;
@@ -180,12 +182,14 @@ mod tests {
             let mut segments = SegmentRing::new();
             segments.push(Segment::steady(1_000_000, interval_ticks));
             let mut encoder = Encoder::new(Timing::from(profile));
-            encoder.lead_in(10_000);
-            encoder.fill(&mut segments, u64::MAX);
+            let mut fill = Fill::END;
+            encoder.lead_in(10_000, &mut fill);
+            encoder.fill(&mut segments, u64::MAX, &mut fill);
             encoder.decelerate(false, 0);
             let (mut edges, mut at) = (Vec::new(), 0);
             while !encoder.has_ended() && edges.len() < 30_000 {
-                for word in encoder.fill(&mut segments, u64::MAX).words {
+                encoder.fill(&mut segments, u64::MAX, &mut fill);
+                for word in fill.words {
                     if word.is_step() {
                         edges.push(at);
                     }

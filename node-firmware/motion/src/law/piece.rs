@@ -108,16 +108,23 @@ impl Piece {
             }
             let speed = self.speed_at(ticks);
             let mut next = if speed.is_none() {
-                (low + high).half()
+                low
             } else {
                 ticks - error / speed
             };
-            if next < low || next > high {
+            let bisects = speed.is_none() || next < low || next > high;
+            if bisects {
                 next = (low + high).half();
             }
             let change = (next - ticks).abs();
             ticks = next;
             if change.fixed(SEARCH_FRACTION_BITS) == 0 {
+                break;
+            }
+            // What Newton's step leaves: its square, times the acceleration by twice the speed.
+            let accel = self.accel_at(ticks).abs() + self.jerk.abs() * change;
+            let left = change.squared() * accel;
+            if !bisects && left.shifted(SEARCH_FRACTION_BITS - 1) < speed {
                 break;
             }
         }

@@ -10,7 +10,7 @@ use crate::{
     io::enable::AxisSet,
     law::{Law, speed_from_hz},
     limits::{CHANNELS, PATH_AHEAD_TICKS},
-    lookahead::{LINES_MAX, Line},
+    lookahead::{LINES_MAX, Line, Lines},
     planner::{Begun, Run, Split, command_ticks, runs_of, ticks_of},
     steps::Moment,
 };
@@ -297,18 +297,62 @@ const LOOK_COMMANDS_MAX: usize = 2 * LINES_MAX;
 
 /// Returns the commands for lines that follow behind so many commands. What takes no time does not end
 /// a path, but for a reading that is waited for.
-pub(super) fn lines_behind<'r>(
-    ring: &'r CommandRing<'_>,
+pub(super) fn lines_behind<'r, 'm>(
+    ring: &'r CommandRing<'m>,
     count: usize,
     lidar_waits: bool,
     turns: Turns,
-) -> impl Iterator<Item = Command> + Clone + use<'r> {
-    let all = (count..).map_while(|index| ring.peek_at(index));
-    all.take(LOOK_COMMANDS_MAX)
-        .take_while(move |next| !(lidar_waits && matches!(next, Command::LidarRead)))
-        .filter(|next| !takes_no_time(next))
-        .take_while(move |next| turns.joins(next))
-        .take_while(|next| matches!(next, Command::Line { .. }))
+) -> LinesBehind<'r, 'm> {
+    LinesBehind {
+        ring,
+        begin: count,
+        next: count,
+        lidar_waits,
+        turns,
+    }
+}
+
+/// The lines that follow, read one by one.
+#[derive(Clone)]
+pub(super) struct LinesBehind<'r, 'm> {
+    ring: &'r CommandRing<'m>,
+    /// Place in the ring of the first command, and of the next one that is read.
+    begin: usize,
+    next: usize,
+    lidar_waits: bool,
+    turns: Turns,
+}
+
+impl Iterator for LinesBehind<'_, '_> {
+    type Item = Command;
+
+    /// Behind the end of the path it gives `None` again and again.
+    fn next(&mut self) -> Option<Command> {
+        while self.next < self.begin + LOOK_COMMANDS_MAX {
+            let command = self.ring.peek_at(self.next)?;
+            let waits = self.lidar_waits && matches!(command, Command::LidarRead);
+            if waits {
+                return None;
+            }
+            if !takes_no_time(&command) {
+                let goes_on = matches!(command, Command::Line { .. }) && self.turns.joins(&command);
+                self.next += usize::from(goes_on);
+                return goes_on.then_some(command);
+            }
+            self.next += 1;
+        }
+        None
+    }
+}
+
+impl Lines for LinesBehind<'_, '_> {
+    fn leave_out(&mut self, places: usize) {
+        self.next = self.begin + places;
+    }
+
+    fn places(&self) -> usize {
+        self.next - self.begin
+    }
 }
 
 fn takes_no_time(command: &Command) -> bool {

@@ -11,7 +11,7 @@
 //! proportion of their speeds, and so on the line, if their segments end together; if not, each stays
 //! on its own way, and no axis goes beyond where the known path would have led it.
 
-use super::{Planner, stretch::Stretch, ways::room_of};
+use super::{Planner, stretch::Stretch, way::room_of};
 use crate::{
     axis::Axis, encoder::Brake, limits::TICK_HZ, lookahead::Line, real::Real, segment::Direction,
 };
@@ -78,7 +78,7 @@ impl Planner {
             let stretch = self.stretches[place].as_ref();
             stretch.map_or(0, |stretch| stretch.whole_steps(index))
         };
-        let (stretch, left) = match (&self.steps, self.left) {
+        let (stretch, left) = match (self.written(), self.left) {
             (Some(steps), _) => {
                 let place = self.writing.checked_sub(1)?;
                 (place, steps.left(index, whole(place)))

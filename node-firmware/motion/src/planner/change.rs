@@ -3,11 +3,11 @@
 use super::{Begun, CUT_MARGIN_TICKS, Made, Planner, Split, Tail, stretch::Stretch, unshared};
 use crate::{
     axis::Axis,
+    lookahead::Lines,
     path::Path,
     real::Real,
     steps::{Exit, Moment},
 };
-use keys::Command;
 
 impl Planner {
     /// Leaves everything that is not encoded. Returns from when on another plan can take effect,
@@ -31,7 +31,7 @@ impl Planner {
             cut = cut.max(tail.at);
             least = least.min(tail.at);
         }
-        self.steps = None;
+        self.is_writing = false;
         self.writing = self.stretches[..self.count]
             .iter()
             .flatten()
@@ -142,12 +142,7 @@ impl Planner {
     }
 
     /// Goes on after a split: comes to rest if it is held.
-    pub(crate) fn go_on(
-        &mut self,
-        split: Split,
-        behind: impl Iterator<Item = Command> + Clone,
-        axes: &[Axis],
-    ) -> Begun {
+    pub(crate) fn go_on(&mut self, split: Split, behind: impl Lines, axes: &[Axis]) -> Begun {
         let Split {
             line,
             from,

@@ -68,7 +68,8 @@ impl Ease {
             way = way + Real::of(next.major_steps) * share;
         }
         if way > whole {
-            let path = slow_down(from, whole, &ease.law(line));
+            let mut path = Path::at(from);
+            slow_down(&mut path, whole, &ease.law(line));
             let speed = path.end_state().speed;
             if speed > exit_speed + exit_speed.shifted(-SLACK_BITS) {
                 return own;
@@ -102,34 +103,34 @@ pub(super) struct Stretch {
 
 impl Stretch {
     pub(super) fn path(&self) -> Path {
-        let way = Real::of(self.line.major_steps);
-        let law = &self.line.law;
-        let mut path = match self.goal {
-            Goal::Leave(speed) => {
-                let most = self.line.speed_max;
-                Path::plan(self.from, way, speed, most, law)
-                    .or_else(|_| Path::plan(self.from, way, self.from.speed, most, law))
-                    .unwrap_or_else(|_| slow_down(self.from, way, law))
-            }
-            Goal::Rest(ease) => slow_down(self.from, way, &ease.law(&self.line)),
-        };
-        if let Some(ticks) = self.until {
-            path.cut(ticks);
-        }
+        let mut path = Path::at(self.from);
+        self.plan(&mut path);
         path
     }
 
-    /// Returns the edges of its path.
-    pub(super) fn steps(&self, path: &Path, timing: &[Timing]) -> Steps<CHANNELS> {
+    /// Plans its path in this place.
+    pub(super) fn plan(&self, path: &mut Path) {
+        let way = Real::of(self.line.major_steps);
+        let law = &self.line.law;
+        path.restart(self.from);
+        match self.goal {
+            Goal::Leave(speed) => {
+                let most = self.line.speed_max;
+                path.go_on(way, speed, most, law)
+                    .or_else(|_| path.go_on(way, self.from.speed, most, law))
+                    .unwrap_or_else(|_| slow_down(path, way, law));
+            }
+            Goal::Rest(ease) => slow_down(path, way, &ease.law(&self.line)),
+        }
+        if let Some(ticks) = self.until {
+            path.cut(ticks);
+        }
+    }
+
+    /// Takes the edges of its path, which is planned there.
+    pub(super) fn take_steps(&self, steps: &mut Steps<CHANNELS>, timing: &[Timing]) {
         let line = &self.line;
-        Steps::new(
-            *path,
-            self.begin,
-            self.exit,
-            line.major_steps,
-            line.steps,
-            timing,
-        )
+        steps.take(self.begin, self.exit, line.major_steps, line.steps, timing);
     }
 
     /// Returns the edges of an axis up to which its line goes on behind what it was left for; 0: not
@@ -141,19 +142,13 @@ impl Stretch {
         }
     }
 
-    /// The same for one axis alone.
-    pub(super) fn steps_of(&self, index: usize, path: &Path, timing: &[Timing]) -> Steps<1> {
+    /// Plans its path and takes its edges on one axis alone.
+    pub(super) fn take_steps_of(&self, index: usize, steps: &mut Steps<1>, timing: &[Timing]) {
+        self.plan(steps.path_mut());
         let line = &self.line;
-        let steps = [line.steps[index]];
+        let own = [line.steps[index]];
         let timing = &timing[index..=index];
-        Steps::new(
-            *path,
-            self.begin,
-            self.exit,
-            line.major_steps,
-            steps,
-            timing,
-        )
+        steps.take(self.begin, self.exit, line.major_steps, own, timing);
     }
 }
 
@@ -161,11 +156,9 @@ impl Stretch {
 const SLACK_BITS: i32 = 30;
 
 /// Comes to rest, at the latest where the line ends.
-fn slow_down(from: State, way: Real, law: &Law) -> Path {
-    let mut path = Path::at(from);
+fn slow_down(path: &mut Path, way: Real, law: &Law) {
     path.come_to_rest(law);
     if path.end_steps() > way {
         path.cut(path.ticks_at(way));
     }
-    path
 }

@@ -200,3 +200,28 @@ fn the_order_is_that_of_numbers() {
         }
     }
 }
+
+#[test]
+fn whole_and_part_make_the_number_and_short_quotients_and_logarithms_are_near() {
+    let mut state = 21_u64;
+    for case in 0..100_000 {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let value = Real::of_signed((state as i64) >> (case % 60)).shifted(-(case % 90) - 2);
+        let (whole, part) = value.split();
+        assert_eq!(whole, value.fixed(0), "{value:?}");
+        assert!(!part.is_negative() && part <= Real::of(1), "{value:?}");
+        let off = (Real::of_signed(whole) + part - value).abs();
+        let size = value.abs().max(Real::of(1));
+        assert!(off <= size.shifted(-58), "{value:?}");
+        let divisor = 1 + ((state >> 7) as u32 >> (case % 32));
+        let quotient = value / Real::of(u64::from(divisor));
+        let off = (value.over(divisor) - quotient).abs();
+        assert!(off <= quotient.abs().shifted(-40), "{value:?} / {divisor}");
+        if !value.is_none() {
+            let off = f64::from(value.log()) / 65_536.0 - double(value).log2();
+            assert!(off.abs() < 0.01, "{value:?} is {off} off");
+        }
+    }
+}

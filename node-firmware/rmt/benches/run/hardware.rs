@@ -2,7 +2,7 @@
 
 use core::cell::Cell;
 use motion::Symbol;
-use rmt::{ChannelConfig, ChannelStatus, REFILL_WORDS, Registers, layout::BLOCK_WORDS};
+use rmt::{ChannelConfig, ChannelStatus, Events, REFILL_WORDS, Registers, layout::BLOCK_WORDS};
 
 /// The word that is read is one ahead of the word that plays.
 pub(super) const PREFETCH_WORDS: u8 = 1;
@@ -158,6 +158,14 @@ impl Registers for Hardware {
     fn ended(&self) -> u8 {
         self.touch();
         self.ended
+    }
+
+    fn events(&self) -> Events {
+        self.touch();
+        Events {
+            reached: self.reached,
+            ended: self.ended,
+        }
     }
 
     fn clear_events(&mut self, channels: u8, ends: bool) {

@@ -90,6 +90,8 @@ pub(crate) struct Model {
     silicon: Silicon,
     pub(crate) now: u64,
     ram: [u32; RAM_WORDS],
+    /// How often a word was written.
+    pub(crate) writes: u64,
     channels: [Channel; CHANNELS],
     together: u8,
     threshold_events: u8,
@@ -129,6 +131,7 @@ impl Model {
             now: 0,
             // What a RAM holds at power-up: anything.
             ram: [0x8123_8123; RAM_WORDS],
+            writes: 0,
             channels: std::array::from_fn(|_| channel.clone()),
             together: 0,
             threshold_events: 0,
@@ -408,7 +411,10 @@ impl Registers for ModelRegisters {
     }
 
     fn write_word(&mut self, word: usize, value: u32) {
-        self.access(|model| model.ram[word] = value);
+        self.access(|model| {
+            model.ram[word] = value;
+            model.writes += 1;
+        });
     }
 
     fn step_pin(&self, channel: usize) -> bool {
