@@ -272,9 +272,9 @@ fn a_refill_that_turns_the_motor_too_late_for_its_driver_stops_everything() {
         assert_eq!(status.axes[0].position_steps, bench.node.step_count(X));
         status.faults.first().map(|fault| fault.code)
     };
-    // The window is 50 µs and the driver's 10 µs of setup.
-    assert_eq!(fault_of(50), None);
-    assert_eq!(fault_of(55), Some(FaultCode::REFILL_LATE));
+    // The window is 100 µs and the driver's 10 µs of setup.
+    assert_eq!(fault_of(100), None);
+    assert_eq!(fault_of(105), Some(FaultCode::REFILL_LATE));
 }
 
 #[test]

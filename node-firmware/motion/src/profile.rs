@@ -152,9 +152,10 @@ impl Timing {
     }
 
     /// Returns the rest that must surround a switch of the direction pin, ticks: the rest of a
-    /// half block, then a half block in which the refill finds nothing stepping.
+    /// half block, which may hold one step only and has to last until the next one is written; then a
+    /// half block in which the refill finds nothing stepping.
     pub(crate) fn window_ticks(&self) -> u64 {
-        let half = REFILL_WORDS as u64 * WORD_TICKS_MIN;
+        let half = (REFILL_WORDS as u64 * WORD_TICKS_MIN).max(TURN_LATENCY_TICKS);
         self.hold_ticks.max(self.low_ticks_min) + half + self.turn_ticks()
     }
 

@@ -220,7 +220,7 @@ fn a_borrowed_block_that_runs_dry_ends_and_needs_no_counter_to_know_the_count() 
 
 #[test]
 fn a_direction_that_is_switched_too_late_for_its_driver_is_a_fault_and_never_a_wrong_step() {
-    // The window around a turn lasts 50 µs and the driver's setup time; the interrupt comes up to so
+    // The window around a turn lasts 100 µs and the driver's setup time; the interrupt comes up to so
     // many ticks late.
     let turned = |latest_ticks: u64| {
         let lateness = Lateness {
