@@ -1,9 +1,13 @@
 //! The arithmetic of a controlled stop: v² falls by 2a with each step, the interval is 2 / (v₀ + v₁).
 //! All of it without a division of more than 32 bits, which the chip does not have.
+//!
+//! v² itself is kept, exact to a mHz²: the roots are rounded down, and thousands of steps that each
+//! began with a rounded one would add up to a harder stop.
 
 use super::{Brake, Encoder, Out, Turn, run::step_word};
 use crate::{
     limits::{LOW_WORD_TICKS_MAX, PART_TICKS_MIN, TICK_HZ, WORD_TICKS_MIN},
+    segment::{FRACTION_BITS, SegmentRing},
     symbol::Symbol,
 };
 
@@ -14,6 +18,7 @@ impl Encoder {
         if self.stopping_mhz.is_some() {
             return;
         }
+        self.brake = None;
         let speed_mhz = self.moving_mhz(goes_on);
         if speed_mhz * speed_mhz < self.lost_speed() {
             // No step follows, so nobody need wait for its time: that may be an hour.
@@ -22,21 +27,27 @@ impl Encoder {
         self.stopping_steps_max = u64::from(self.steps_left) + steps_ahead;
         self.steps_left = 0;
         self.turn = Turn::None;
+        self.begin_slower(speed_mhz);
+    }
+
+    fn begin_slower(&mut self, speed_mhz: u64) {
         self.stopping_mhz = Some(speed_mhz);
+        self.stopping_square = speed_mhz * speed_mhz;
         self.trend = Trend::NONE;
     }
 
     /// Returns how many steps [`Encoder::decelerate`] would make from here, or still will. It
     /// computes with whole mHz, rounded down, and may make a few in ten thousand less.
     pub(crate) fn steps_to_rest(&self, goes_on: bool, steps_ahead: u64) -> u64 {
-        let (speed_mhz, most) = match self.stopping_mhz {
-            Some(speed_mhz) => (speed_mhz, self.stopping_steps_max),
-            None => (
-                self.moving_mhz(goes_on),
-                u64::from(self.steps_left) + steps_ahead,
-            ),
+        let (square, most) = match self.stopping_mhz {
+            Some(_) => (self.stopping_square, self.stopping_steps_max),
+            None => {
+                let speed_mhz = self.moving_mhz(goes_on);
+                let most = u64::from(self.steps_left) + steps_ahead;
+                (speed_mhz * speed_mhz, most)
+            }
         };
-        (speed_mhz * speed_mhz / self.lost_speed()).min(most)
+        (square / self.lost_speed()).min(most)
     }
 
     /// Returns the speed that a controlled stop begins with, mHz.
@@ -49,22 +60,68 @@ impl Encoder {
         }
     }
 
-    /// Takes how to slow down if the plan ends in full run; `None`: it ends where it shall.
+    /// Takes how to slow down if the planner does not come back in time; `None`: the plan ends where
+    /// it shall.
     pub(crate) fn set_brake(&mut self, brake: Option<Brake>) {
         self.brake = brake;
     }
 
-    /// Returns whether the plan has ended in full run.
+    /// Returns whether there is a brake.
+    pub(crate) fn has_brake(&self) -> bool {
+        self.brake.is_some()
+    }
+
+    /// Returns whether it brakes by itself at a time that is set.
+    pub(crate) fn brakes_in_time(&self) -> bool {
+        let from_ticks = self.brake.map(|brake| brake.from_ticks);
+        from_ticks.is_some_and(|from_ticks| from_ticks < u64::MAX)
+    }
+
+    /// Returns whether the brake was taken: the planner did not come back in time.
     pub(crate) fn is_starved(&self) -> bool {
         self.starved
     }
 
-    /// The plan has ended: slows down if it was in full run. Returns whether it was.
-    pub(super) fn starve(&mut self) -> bool {
+    /// Returns whether the brake has to be taken before anything else is written.
+    #[inline]
+    pub(super) fn brakes_now(&self, out: &Out) -> bool {
+        let now = self.encoded_ticks + u64::from(out.facts.ticks);
+        let brake = self.brake.as_ref();
+        brake.is_some_and(|brake| now >= brake.from_ticks)
+    }
+
+    /// Returns whether the brake may have to be taken within so many steps of the present segment.
+    #[inline]
+    pub(super) fn brakes_within(&self, out: &Out) -> bool {
+        self.brake.as_ref().is_some_and(|brake| {
+            let count = out.left() as i64;
+            let longest = self.interval.max(self.interval + self.change * count);
+            let ticks = (longest >> FRACTION_BITS).max(0) as u64 * count as u64;
+            let now = self.encoded_ticks + u64::from(out.facts.ticks);
+            now + ticks >= brake.from_ticks
+        })
+    }
+
+    /// Takes the brake, if there is one: leaves what is still written of the plan and slows down from
+    /// the next edge on, or rests where it does not move. Returns whether it slows down.
+    pub(crate) fn brake(&mut self, segments: &mut SegmentRing) -> bool {
         let Some(brake) = self.brake.take() else {
             return false;
         };
-        if self.resting || self.interval_ticks == 0 || brake.steps_max == 0 {
+        // What is not written comes behind what is, unless that ends with a rest or turns.
+        let mut steps_max = u64::from(self.steps_left) + segments.steps_ahead();
+        if segments.are_steps() {
+            steps_max = steps_max.saturating_add(brake.steps_max);
+        }
+        let left_out = self.steps_left > 0 || segments.front().is_some();
+        segments.clear();
+        self.steps_left = 0;
+        self.turn = Turn::None;
+        if self.resting || self.interval_ticks == 0 || steps_max == 0 {
+            if left_out {
+                self.starved = true;
+                self.low_ticks = 0;
+            }
             return false;
         }
         // The last edge before a corner may be followed by a part of its interval only: what is
@@ -72,27 +129,40 @@ impl Encoder {
         let interval_ticks = self.interval_ticks.max(self.speed_ticks);
         let wait_ticks = interval_ticks - self.interval_ticks;
         if wait_ticks >= WORD_TICKS_MIN {
-            self.low_ticks = wait_ticks;
+            self.low_ticks += wait_ticks;
         }
         self.starved = true;
-        self.stop_accel_hz_per_s = Some(brake.accel_hz_per_s);
-        self.stopping_steps_max = brake.steps_max;
-        // In the refill interrupt: not by the chip's division of 64 bits.
-        self.stopping_mhz = Some(quotient(1_000 * TICK_HZ, interval_ticks));
-        self.trend = Trend::NONE;
+        self.stop_lost = Some(brake.lost);
+        self.stopping_steps_max = steps_max;
+        let speed_mhz = self.speed_by(interval_ticks);
+        self.begin_slower(speed_mhz);
+        if self.stopping_square < brake.lost {
+            // No step follows, so nobody need wait for its time.
+            self.low_ticks = 0;
+        }
         true
+    }
+
+    /// Returns the speed of an interval, mHz: by the present segment's fractions of a tick, if it is
+    /// one of that. In the refill interrupt: not by the chip's division of 64 bits.
+    fn speed_by(&self, interval_ticks: u64) -> u64 {
+        let whole = interval_ticks << FRACTION_BITS;
+        let exact = u64::try_from(self.interval).unwrap_or(0);
+        let is_own = exact.abs_diff(whole) <= 2 << FRACTION_BITS;
+        let interval = if is_own { exact } else { whole };
+        quotient((1_000 * TICK_HZ) << FRACTION_BITS, interval)
     }
 
     /// Returns what the square of the speed loses in a step of a controlled stop: 2a, mHz².
     pub(super) fn lost_speed(&self) -> u64 {
-        let accel_hz_per_s = self.stop_accel_hz_per_s;
-        2_000_000 * u64::from(accel_hz_per_s.unwrap_or(self.timing.stop_accel_hz_per_s))
+        let own = 2_000_000 * u64::from(self.timing.stop_accel_hz_per_s);
+        self.stop_lost.unwrap_or(own)
     }
 
     /// Writes a step of a controlled stop, or the end.
     pub(super) fn slower_step(&mut self, speed_mhz: u64, out: &mut Out) {
         let lost = self.lost_speed();
-        let left = (speed_mhz * speed_mhz).checked_sub(lost);
+        let left = self.stopping_square.checked_sub(lost);
         let Some(square) = left.filter(|_| self.stopping_steps_max > 0) else {
             self.stopping_mhz = Some(0);
             self.end(out);
@@ -103,6 +173,7 @@ impl Encoder {
         let (slower_mhz, interval_ticks) = slower_step(speed_mhz, square, lost);
         let high_ticks = self.timing.high_of(interval_ticks);
         self.stopping_mhz = Some(slower_mhz);
+        self.stopping_square = square;
         self.write_step(
             high_ticks,
             interval_ticks - high_ticks,
@@ -125,6 +196,7 @@ impl Encoder {
         };
         let mut last = Symbol::END;
         let mut trend = self.trend;
+        let mut square = self.stopping_square;
         let timing = &self.timing;
         let high_max = timing.high_ticks as u32;
         let (low_min, high_min) = (timing.low_ticks_min as u32, timing.high_ticks_min as u32);
@@ -132,10 +204,12 @@ impl Encoder {
             if !is_quick(speed, lost) {
                 break;
             }
-            let (slower, interval) = trend.next(speed, lost);
+            let left = square - lost;
+            let (slower, interval) = trend.next(speed, left, lost);
             if interval > most_ticks {
                 break;
             }
+            square = left;
             last = step_word(interval, high_max, low_min, high_min);
             out.push_step(last);
             self.stopping_steps_max -= 1;
@@ -146,6 +220,7 @@ impl Encoder {
         }
         self.trend = trend;
         self.stopping_mhz = Some(u64::from(speed));
+        self.stopping_square = square;
         self.low_ticks_since_step = last.second().0;
         self.resting = false;
         true
@@ -160,7 +235,7 @@ const TWICE: u64 = 2_000 * TICK_HZ;
 fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) {
     match u32::try_from(speed_mhz) {
         Ok(speed) if is_quick(speed, lost) => {
-            let (slower, interval) = slower(speed, lost);
+            let (slower, interval) = slower(speed, square, lost);
             (u64::from(slower), u64::from(interval))
         }
         _ => {
@@ -215,10 +290,10 @@ const SLOWER_BITS: u32 = 10;
 /// Slower than 2 kHz its numbers need more than 64 bits, and a step more than a word.
 const SLOWER_MHZ_MIN: u32 = 1 << 21;
 
-/// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
-/// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
-/// mHz, from [`SLOWER_MHZ_MIN`].
-fn slower(speed: u32, lost: u64) -> (u32, u32) {
+/// Returns ⌊√square⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a division of
+/// more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in mHz, from
+/// [`SLOWER_MHZ_MIN`]; `square` is `lost` less than the speed's, whose root may be rounded down.
+fn slower(speed: u32, square: u64, lost: u64) -> (u32, u32) {
     let shift = speed.leading_zeros();
     let divisor = u64::from(speed << shift);
     let short = u64::from(u32::MAX / (divisor >> 16) as u32);
@@ -230,7 +305,6 @@ fn slower(speed: u32, lost: u64) -> (u32, u32) {
     let over_twice = |value: u64| (((value << shift) >> 32) * inverse) >> 32;
     let first = over_twice(lost);
     let mut slower = u64::from(speed) - first - over_twice(first * first);
-    let square = u64::from(speed) * u64::from(speed) - lost;
     while slower * slower > square {
         slower -= 1;
     }
@@ -275,12 +349,12 @@ impl Trend {
     };
 
     /// Returns the same as [`slower`]: what is foretold is put right.
-    fn next(&mut self, speed: u32, lost: u64) -> (u32, u32) {
+    fn next(&mut self, speed: u32, square: u64, lost: u64) -> (u32, u32) {
         let foretold = match self.seen {
-            2 => self.foretell(speed, lost),
+            2 => self.foretell(speed, square),
             _ => None,
         };
-        let (slower, interval) = foretold.unwrap_or_else(|| slower(speed, lost));
+        let (slower, interval) = foretold.unwrap_or_else(|| slower(speed, square, lost));
         let loss = speed - slower;
         self.growth = loss.saturating_sub(self.loss);
         self.longer = interval.saturating_sub(self.interval);
@@ -290,8 +364,7 @@ impl Trend {
     }
 
     #[inline(always)]
-    fn foretell(&self, speed: u32, lost: u64) -> Option<(u32, u32)> {
-        let square = u64::from(speed) * u64::from(speed) - lost;
+    fn foretell(&self, speed: u32, square: u64) -> Option<(u32, u32)> {
         let mut slower = speed.checked_sub(self.loss + self.growth)?;
         let mut misses = 0;
         while u64::from(slower) * u64::from(slower) > square {
@@ -342,15 +415,17 @@ mod tests {
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
             let mut speed = ((state >> 20) as u32 >> (case % 11)) | SLOWER_MHZ_MIN;
-            let square = u64::from(speed) * u64::from(speed);
+            let mut square = u64::from(speed) * u64::from(speed);
             let lost = (square >> SLOWER_BITS >> (case % 23)).max(1);
             let mut trend = Trend::NONE;
             for _ in 0..200 {
                 if !is_quick(speed, lost) {
                     break;
                 }
-                let step = trend.next(speed, lost);
-                assert_eq!(step, slower(speed, lost), "{speed} {lost}");
+                square -= lost;
+                let step = trend.next(speed, square, lost);
+                assert_eq!(step, slower(speed, square, lost), "{speed} {lost}");
+                assert_eq!(u64::from(step.0), square.isqrt(), "{speed} {lost}");
                 speed = step.0;
             }
         }
@@ -374,9 +449,11 @@ mod tests {
                 _ => next(1 + case % 52),
             };
             let lost = lost.min(square >> SLOWER_BITS);
+            // The speed is the root of its square, rounded down.
+            let square = square + next(32) % (2 * u64::from(speed) + 1);
             let root = (square - lost).isqrt();
             let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
-            let found = slower(speed, lost);
+            let found = slower(speed, square - lost, lost);
             assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
             let found = slower_step(u64::from(speed), square - lost, lost);
             assert_eq!(found, (root, interval), "{speed} {lost}");

@@ -5,7 +5,7 @@ use crate::{
     Direction,
     io::input::Switch,
     law::{Law, speed_from_hz, speed_from_interval, speed_from_mhz},
-    limits::TICKS_PER_US,
+    limits::{TICK_HZ, TICKS_PER_US},
     real::Real,
 };
 use keys::command::{Ramp, RampShape};
@@ -72,6 +72,35 @@ impl Course {
                 linear_steps: 0,
                 jump_steps: 0,
             },
+        }
+    }
+
+    /// Returns its speed, mHz, rounded.
+    pub fn speed_mhz(&self) -> u64 {
+        let speed_mhz = (self.speed * Real::of(1_000 * TICK_HZ)).rounded();
+        u64::try_from(speed_mhz).unwrap_or(0)
+    }
+
+    /// Returns the time from step to step at its speed, ticks, rounded; 0 if it has no speed.
+    pub fn step_ticks(&self) -> u64 {
+        if self.speed.is_none() {
+            return 0;
+        }
+        u64::try_from((Real::of(1) / self.speed).rounded()).unwrap_or(u64::MAX)
+    }
+
+    /// Returns its acceleration, steps/s².
+    pub fn accel_hz_per_s(&self) -> u32 {
+        self.accel_hz_per_s
+    }
+
+    /// Returns the ramp that a job would call it, with its speed rounded up to whole Hz.
+    pub fn ramp(&self) -> Ramp {
+        let speed_hz = self.speed_mhz().div_ceil(1_000);
+        Ramp {
+            speed_hz: u32::try_from(speed_hz).unwrap_or(u32::MAX),
+            accel_hz_per_s: self.accel_hz_per_s,
+            shape: self.shape,
         }
     }
 

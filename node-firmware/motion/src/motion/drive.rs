@@ -31,15 +31,35 @@ pub(super) struct Drive {
     turns_at: Option<Ticks>,
 }
 
+impl Drive {
+    pub(super) fn leg(&self) -> Option<&Leg> {
+        self.leg.as_ref()
+    }
+
+    /// Returns whether it turns where it comes to rest.
+    pub(super) fn turns_later(&self) -> bool {
+        self.turns_at.is_some()
+    }
+}
+
 /// A way to a place.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leg {
     /// Target, steps since boot.
     to_steps: i64,
-    how: Course,
+    pub(super) how: Course,
+}
+
+/// Returns whether a target is none: on and on.
+pub(super) const fn is_endless_at(to_steps: i64) -> bool {
+    matches!(to_steps, i64::MIN | i64::MAX)
 }
 
 impl Leg {
+    pub(super) fn to_steps(&self) -> i64 {
+        self.to_steps
+    }
+
     /// Steps from a place, no more than a way may have.
     fn from(&self, from_steps: i64) -> i64 {
         let way = i128::from(self.to_steps) - i128::from(from_steps);
@@ -122,7 +142,7 @@ impl<B: StepBackend> Motion<'_, B> {
     pub fn is_endless(&self, axis: AxisId) -> bool {
         let drive = self.drives.get(usize::from(axis.0)).copied().flatten();
         let leg = drive.and_then(|drive| drive.leg);
-        leg.is_some_and(|leg| matches!(leg.to_steps, i64::MIN | i64::MAX))
+        leg.is_some_and(|leg| is_endless_at(leg.to_steps))
     }
 
     /// Where a target is, steps since boot.

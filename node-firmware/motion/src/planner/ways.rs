@@ -569,6 +569,24 @@ impl Planner {
         }
     }
 
+    /// Returns speed and acceleration of an axis with sign where its way can be changed now, steps a
+    /// tick and a tick², and whether it turns behind that; `None`: it rests.
+    pub(crate) fn way_pace(
+        &self,
+        index: usize,
+        axis: &Axis,
+        started_at: u64,
+    ) -> Option<([Real; 2], bool)> {
+        let (stretch, cut) = self.under_way(index, axis, started_at)?;
+        let since = Real::of(cut - stretch.begin.ticks);
+        let State { speed, accel, .. } = stretch.path().state_at(since);
+        let sign = stretch.line.steps[index].signum();
+        let last = self.way(index).last()?;
+        let turns = last.line.steps[index].signum() != sign;
+        let pace = if sign < 0 { [-speed, -accel] } else { [speed, accel] };
+        Some((pace, turns))
+    }
+
     /// What an axis does when its way can be changed, and when that is; `None`: it rests.
     fn under_way(&self, index: usize, axis: &Axis, started_at: u64) -> Option<(&Stretch, u64)> {
         let cut = started_at + axis.committed_ticks() + CUT_MARGIN_TICKS;
