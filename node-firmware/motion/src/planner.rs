@@ -32,7 +32,7 @@ mod stretch;
 mod ways;
 
 pub(crate) use raw::{Played, Run, command_ticks, runs_of, ticks_of};
-pub(crate) use ways::Left;
+pub(crate) use ways::{Ends, Left, Onward};
 
 use stretch::{Ease, Goal, Stretch};
 use ways::Way;

@@ -27,6 +27,8 @@ pub struct Course {
     pub(super) speed: Real,
     accel_hz_per_s: u32,
     pub(super) shape: RampShape,
+    /// Speed at the target; 0: it rests there.
+    passing: Real,
 }
 
 impl Course {
@@ -72,6 +74,36 @@ impl Course {
                 linear_steps: 0,
                 jump_steps: 0,
             },
+            passing: Real::ZERO,
+        }
+    }
+
+    /// Passes the target at this speed, mHz, instead of resting on it: no faster than its own speed,
+    /// and slower where the way is too short to reach that. Behind the target it comes to rest by its
+    /// ramp at once, unless another order takes it on from there. A target that is too near to slow
+    /// down to this speed is passed on the way back. Where it could not come to rest before a soft
+    /// limit, it rests on the target; a smoothstep always does.
+    #[must_use]
+    pub fn passing_mhz(self, speed_mhz: u64) -> Self {
+        Self {
+            passing: speed_from_mhz(speed_mhz),
+            ..self
+        }
+    }
+
+    /// Returns the speed at the target, steps a tick; 0: it rests there.
+    pub(super) fn passing(&self) -> Real {
+        match self.shape {
+            RampShape::Smooth { .. } => Real::ZERO,
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => self.passing.min(self.speed),
+        }
+    }
+
+    /// The same, but at rest on the target.
+    pub(super) fn resting(self) -> Self {
+        Self {
+            passing: Real::ZERO,
+            ..self
         }
     }
 

@@ -15,7 +15,7 @@ use crate::{
     law::Law,
     limits::{CHANNELS, TICK_HZ},
     lookahead::Line,
-    planner::{Left, Planner, Split, WAY_STEPS_MAX},
+    planner::{Ends, Left, Onward, Planner, Split, WAY_STEPS_MAX},
     real::Real,
 };
 use keys::{AxisId, StopMode, command::RampShape};
@@ -66,6 +66,14 @@ impl Leg {
         way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64
     }
 
+    /// Returns the speed at the target, steps a tick; 0: it rests there, or goes on and on.
+    fn passing(&self) -> Real {
+        match is_endless_at(self.to_steps) {
+            true => Real::ZERO,
+            false => self.how.passing(),
+        }
+    }
+
     fn line(&self, axis: usize, way: i64) -> Line {
         let mut steps = [0; CHANNELS];
         steps[axis] = way;
@@ -95,6 +103,10 @@ impl<B: StepBackend> Motion<'_, B> {
         let to_steps = self.target_of(axis, target);
         let index = usize::from(axis.0);
         let to_steps = self.held_inside(index, to_steps);
+        let how = match self.rests_inside(index, to_steps, &how) {
+            true => how,
+            false => how.resting(),
+        };
         // One that moves already is watched where it goes.
         let way = Direction::of(to_steps.saturating_sub(self.planned_steps[index]));
         let rests = to_steps == self.planned_steps[index];
@@ -154,6 +166,18 @@ impl<B: StepBackend> Motion<'_, B> {
             Target::Forever(Direction::Positive) => i64::MAX,
             Target::Forever(Direction::Negative) => i64::MIN,
         }
+    }
+
+    /// Returns whether an axis that passes a place comes to rest before its soft limits.
+    fn rests_inside(&self, index: usize, to_steps: i64, how: &Course) -> bool {
+        let speed = how.passing();
+        if speed.is_none() || how.check(0).is_err() {
+            return true;
+        }
+        let way = how.law().way(Real::ZERO, speed).rounded().saturating_add(1);
+        [to_steps.saturating_add(way), to_steps.saturating_sub(way)]
+            .into_iter()
+            .all(|place| self.held_inside(index, place) == place)
     }
 
     /// The same without regard to soft limits; the axis exists.
@@ -376,6 +400,7 @@ impl<B: StepBackend> Motion<'_, B> {
     /// It slows down by the new ramp, unless that led farther than it has ever been sent: beyond
     /// a soft limit, for one. Then it slows down by whichever ramp needs less way.
     fn turn_to(&mut self, index: usize, mut split: Split, reach_steps: i64, leg: Leg) {
+        let axes = &self.backend.axes()[..self.axis_count];
         let mut law = leg.how.law().after(&split.line.law);
         let sign = split.line.steps[index].signum();
         let way = i128::from(sign) * i128::from(leg.from(split.base_steps[index]));
@@ -391,7 +416,19 @@ impl<B: StepBackend> Motion<'_, B> {
             }
         }
         split.line.law = law;
-        if Real::of_signed(way) < least {
+        let mut on = split;
+        on.line.major_steps = way.unsigned_abs();
+        on.line.steps[index] = way * sign;
+        on.line.speed_max = leg.how.speed;
+        let passing = leg.passing();
+        if way > 0
+            && let Some(speed) = self.planner.passing_speed(&on, passing, axes)
+        {
+            let (_, made) = self.planner.go_on_way(index, on, Onward::Past(speed), axes);
+            self.planned_steps[index] = on.base_steps[index] + made;
+            return;
+        }
+        if !passing.is_none() || Real::of_signed(way) < least {
             let end = self.slow_down(index, split);
             let way = leg.from(self.planned_steps[index]);
             if self.turns.must_turn(index, way) {
@@ -401,18 +438,15 @@ impl<B: StepBackend> Motion<'_, B> {
             }
             return;
         }
-        split.line.major_steps = way.unsigned_abs();
-        split.line.steps[index] = way * sign;
-        split.line.speed_max = leg.how.speed;
         let axes = &self.backend.axes()[..self.axis_count];
-        self.planner.go_on_way(index, split, false, axes);
-        self.planned_steps[index] = split.base_steps[index] + way * sign;
+        self.planner.go_on_way(index, on, Onward::ToEnd, axes);
+        self.planned_steps[index] = on.base_steps[index] + way * sign;
     }
 
     /// Comes to rest, wherever that is: on the step whose edge was passed last. Returns when.
     fn slow_down(&mut self, index: usize, split: Split) -> u64 {
         let axes = &self.backend.axes()[..self.axis_count];
-        let (end, made) = self.planner.go_on_way(index, split, true, axes);
+        let (end, made) = self.planner.go_on_way(index, split, Onward::ToRest, axes);
         self.planned_steps[index] = split.base_steps[index] + made;
         end
     }
@@ -430,9 +464,14 @@ impl<B: StepBackend> Motion<'_, B> {
         };
         let axes = &self.backend.axes()[..self.axis_count];
         let line = leg.line(index, way);
-        self.planner
-            .begin_way(index, line, jump_steps, begin, base_steps, axes);
-        self.planned_steps[index] = base_steps + way;
+        let ends = Ends {
+            jump_steps,
+            passing: leg.passing(),
+        };
+        let made = self
+            .planner
+            .begin_way(index, line, ends, begin, base_steps, axes);
+        self.planned_steps[index] = base_steps + made;
     }
 
     /// Writes as much of the ways as fits. From rest it begins with those that are due; returns when

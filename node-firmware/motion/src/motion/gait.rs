@@ -38,7 +38,7 @@ impl<B: StepBackend> Motion<'_, B> {
             };
         };
         let slows = pace.accel.is_negative() != pace.speed.is_negative();
-        match (pace.accel.is_none(), pace.speed.is_none()) {
+        match (pace.accel == Real::ZERO, pace.speed == Real::ZERO) {
             (true, true) => Gait::Rest,
             (true, false) => Gait::Coast,
             (false, false) if slows && pace.turns => Gait::Reverse,

@@ -26,8 +26,9 @@ use crate::{
 };
 
 /// Stretches of one way that are not encoded to their end: what was under way, the change, the
-/// slowing down before a turn, the way back, and as many for changes within 2 ms.
-const WAY_STRETCHES_MAX: usize = 6;
+/// slowing down before a turn, the way back, the rest behind a place that is passed, and as many for
+/// changes within 2 ms.
+const WAY_STRETCHES_MAX: usize = 8;
 
 // A line and a way are never planned at the same time: drives begin at rest, and lines wait until
 // all of them have ended there. So ways lie in the memory of the lines.
@@ -73,6 +74,26 @@ impl Short {
         let ticks = (self.steps / speed).rounded();
         self.at.saturating_add(u64::try_from(ticks).unwrap_or(0))
     }
+}
+
+/// How a way begins and ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ends {
+    /// Steps of its ramp that it jumps over.
+    pub(crate) jump_steps: u16,
+    /// Speed with which it passes its end, steps a tick; 0: it rests there.
+    pub(crate) passing: Real,
+}
+
+/// How a way goes on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Onward {
+    /// To the end of its line, at rest.
+    ToEnd,
+    /// Past that at this speed, and to rest.
+    Past(Real),
+    /// To rest as soon as possible.
+    ToRest,
 }
 
 /// Where a way was left.
@@ -178,7 +199,14 @@ impl Way {
     ) -> Option<(&'r Stretch, u64)> {
         let steps = self.steps.as_ref()?;
         let stretch = room[self.writing.checked_sub(1)?].as_ref()?;
-        Some((stretch, steps.left(0, stretch.whole_steps(index))))
+        let mut left = steps.left(0, stretch.whole_steps(index));
+        if stretch.exit == Exit::Moving && stretch.until.is_none() {
+            // It passes its end, and the next one comes to rest.
+            let behind = self.all(room).nth(self.writing);
+            let way = behind.map_or(0, |behind| behind.path().end_steps().rounded());
+            left += way.unsigned_abs().saturating_sub(stretch.line.major_steps);
+        }
+        Some((stretch, left))
     }
 
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
@@ -231,7 +259,7 @@ impl Way {
             };
             return Left::Moving { split, reach_steps };
         }
-        let since = Real::of(cut - stretch.begin.ticks);
+        let since = Real::of(cut - stretch.begin.ticks) - stretch.begin.part;
         let from = without_accel(stretch.path().state_at(since), &line.law);
         stretch.until = Some(since);
         stretch.exit = Exit::Moving;
@@ -293,8 +321,8 @@ impl Planner {
         let way = &mut self.ways[index];
         let room = &mut self.stretches[room_of(index)];
         way.retire(room, started_at + axis.encoded_ticks());
-        // It is left, slows down, and comes back.
-        way.count + 2 <= WAY_STRETCHES_MAX && !axis.has_ended()
+        // It is left, slows down, comes back, and rests behind its target.
+        way.count + 3 <= WAY_STRETCHES_MAX && !axis.has_ended()
     }
 
     /// Takes back what is not encoded of an axis and leaves its way there.
@@ -345,23 +373,28 @@ impl Planner {
         self.ways_rest_at = None;
     }
 
-    /// Begins a way from rest at `begin` or as soon as the axis may turn.
+    /// Begins a way from rest at `begin` or as soon as the axis may turn. Returns its steps with sign
+    /// until it rests.
     pub(crate) fn begin_way(
         &mut self,
         index: usize,
         line: Line,
-        jump_steps: u16,
+        ends: Ends,
         begin: u64,
         base_steps: i64,
         axes: &[Axis],
-    ) {
+    ) -> i64 {
         let timing = timing_of(axes);
+        let asked = line;
         let line = self.within(line, &timing[..axes.len()]);
         let mut from = State::REST;
-        if jump_steps > 0 {
-            let jump = u64::from(jump_steps).min(line.major_steps);
+        if ends.jump_steps > 0 {
+            let jump = u64::from(ends.jump_steps).min(line.major_steps);
             from.speed = line.law.jump_speed(Real::of(jump)).min(line.speed_max);
         }
+        let way = Real::of(line.major_steps);
+        let reached = Path::speed_reached(from, way, line.speed_max, &line.law);
+        let passing = (ends.passing * self.share()).min(reached);
         let direction = Direction::of(line.steps[index]);
         let short = self.ways[index].short;
         let made_at = short.map(|short| short.made_at(base_steps, direction, line.speed_max));
@@ -371,15 +404,20 @@ impl Planner {
         let mut stretch = Stretch {
             line,
             from,
-            goal: Goal::Leave(Real::ZERO),
+            goal: Goal::Leave(passing),
             until: None,
             begin: Moment::of(begin),
             end_ticks: 0,
-            exit: Exit::Rest,
+            exit: if passing.is_none() {
+                Exit::Rest
+            } else {
+                Exit::Moving
+            },
             share: self.share,
             base_steps: all_steps,
         };
-        let mut steps = stretch.steps_of(index, &stretch.path(), &timing);
+        let path = stretch.path();
+        let mut steps = stretch.steps_of(index, &path, &timing);
         let tail = &self.tails[index];
         if let Some((edge, direction)) = steps.first_edge(0)
             && self.heading(index) != Some(direction)
@@ -401,6 +439,32 @@ impl Planner {
         stretch.begin = steps.begin();
         stretch.end_ticks = steps.end().ticks;
         self.push_way(index, stretch);
+        if passing.is_none() {
+            return line.steps[index];
+        }
+        let split = Split {
+            line: asked,
+            from: path.end_state(),
+            at: steps.end(),
+            base_steps: all_steps,
+        };
+        self.go_on_way(index, split, Onward::ToRest, axes).1
+    }
+
+    /// Returns the speed, up to this one, with which a way that was left can pass the end of its line;
+    /// `None`: it would be faster, or rests there.
+    pub(crate) fn passing_speed(&self, split: &Split, speed: Real, axes: &[Axis]) -> Option<Real> {
+        let timing = timing_of(axes);
+        let line = self.within(split.line, &timing[..axes.len()]);
+        let end = Real::of(line.major_steps);
+        let way = end - split.from.place;
+        if speed.is_none() || way.is_none() {
+            return None;
+        }
+        let reached = Path::speed_reached(split.from, way, line.speed_max, &line.law);
+        let speed = (speed * self.share()).min(reached);
+        let path = Path::plan(split.from, end, speed, line.speed_max, &line.law);
+        path.is_ok().then_some(speed)
     }
 
     fn way(&self, index: usize) -> impl Iterator<Item = &Stretch> {
@@ -432,16 +496,17 @@ impl Planner {
         begin - before.end_ticks
     }
 
-    /// Goes on with a way that was left, to the end of its line or to rest as soon as possible.
-    /// Returns where it ends: the tick, and steps of the line with sign.
+    /// Goes on with a way that was left. Returns where it rests: the tick, and steps of the line with
+    /// sign.
     pub(crate) fn go_on_way(
         &mut self,
         index: usize,
         split: Split,
-        to_rest: bool,
+        onward: Onward,
         axes: &[Axis],
     ) -> (u64, i64) {
         let timing = timing_of(axes);
+        let to_rest = matches!(onward, Onward::ToRest);
         let mut line = split.line;
         let sign = line.steps[index].signum();
         if to_rest {
@@ -451,15 +516,18 @@ impl Planner {
         let mut stretch = Stretch {
             line: self.within(line, &timing[..axes.len()]),
             from: split.from,
-            goal: if to_rest {
-                Goal::Rest(Ease::none(&split.line))
-            } else {
-                Goal::Leave(Real::ZERO)
+            goal: match onward {
+                Onward::ToRest => Goal::Rest(Ease::none(&split.line)),
+                Onward::ToEnd => Goal::Leave(Real::ZERO),
+                Onward::Past(speed) => Goal::Leave(speed),
             },
             until: None,
             begin: split.at,
             end_ticks: 0,
-            exit: Exit::Rest,
+            exit: match onward {
+                Onward::Past(_) => Exit::Moving,
+                Onward::ToEnd | Onward::ToRest => Exit::Rest,
+            },
             share: self.share,
             base_steps: split.base_steps,
         };
@@ -467,6 +535,14 @@ impl Planner {
         let steps = stretch.steps_of(index, &path, &timing);
         stretch.end_ticks = steps.end().ticks;
         self.push_way(index, stretch);
+        if let Onward::Past(_) = onward {
+            let behind = Split {
+                from: path.end_state(),
+                at: steps.end(),
+                ..split
+            };
+            return self.go_on_way(index, behind, Onward::ToRest, axes);
+        }
         let made = match to_rest {
             true => sign * path.end_steps().rounded(),
             false => line.steps[index],
