@@ -9,6 +9,7 @@ mod event;
 mod gait;
 mod homing;
 mod inputs;
+mod legs;
 mod marks;
 mod named;
 mod outputs;
