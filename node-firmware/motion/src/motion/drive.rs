@@ -85,9 +85,9 @@ impl Leg {
 impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
     /// and target, without a stop where physics allows. Several axes can be driven at a time, each
-    /// by itself. [`MotionEvent::DriveEnded`] tells that it rests. The queue waits meanwhile. Soft
+    /// by itself. [`MotionEvent::DriveEnded`](crate::MotionEvent::DriveEnded) tells that it rests. The queue waits meanwhile. Soft
     /// limits hold it inside: it comes to rest on them. One that runs into a limit switch is told of
-    /// ([`MotionEvent::Limit`]); one that rests on it may only leave it.
+    /// ([`MotionEvent::Limit`](crate::MotionEvent::Limit)); one that rests on it may only leave it.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
