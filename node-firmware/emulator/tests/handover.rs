@@ -241,6 +241,34 @@ fn a_target_that_is_too_near_to_pass_slowly_is_passed_on_the_way_back() {
 }
 
 #[test]
+fn a_target_that_was_passed_is_passed_once_whatever_is_changed_then() {
+    for change in 0..3 {
+        let mut bench = bench();
+        let course = Course::hz(4_000, 4_000).passing_mhz(3_000_000);
+        bench.drive(X, Target::To(4_000), course);
+        let mut waits = 0;
+        while bench.node.position_steps(X) < 4_300 {
+            bench.run_for(10_000);
+            waits += 1;
+            assert!(waits < 1_000);
+        }
+        let now = motion::Ticks(bench.now.0 * 16);
+        let motion = bench.node.node_mut().motion_mut();
+        match change {
+            0 => motion.set_speed_percent(50),
+            1 => motion.hold(now),
+            _ => motion.end_drive_of(X),
+        }
+        bench.run_for(2_000_000);
+        bench.node.node_mut().motion_mut().resume();
+        bench.rest();
+        // 3000² / 2·4000 steps behind it; the braking that is begun anew may end a step elsewhere.
+        let rests = bench.node.position_steps(X);
+        assert!((5_124..=5_126).contains(&rests), "{change}: {rests}");
+    }
+}
+
+#[test]
 fn what_could_not_rest_before_a_soft_limit_rests_on_its_target() {
     for (bound, rests) in [(3_000, 2_000), (5_000, 4_000)] {
         let mut config = config();

@@ -46,6 +46,8 @@ pub(super) struct Leg {
     /// Target, steps since boot.
     to_steps: i64,
     pub(super) how: Course,
+    /// Which way it goes past its target, once that is planned; 0: not yet, or it rests there.
+    toward: i64,
 }
 
 /// Returns whether a target is none: on and on.
@@ -62,6 +64,17 @@ impl Leg {
     pub(super) fn from(&self, from_steps: i64) -> i64 {
         let way = i128::from(self.to_steps) - i128::from(from_steps);
         way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64
+    }
+
+    /// It goes past its target this way.
+    pub(super) fn goes_past(&mut self, sign: i64) {
+        self.toward = sign;
+    }
+
+    /// Returns whether it is past its target at this place: what is changed then changes its rest only.
+    pub(super) fn has_passed(&self, at_steps: i64) -> bool {
+        let beyond = i128::from(at_steps) - i128::from(self.to_steps);
+        self.toward != 0 && i128::from(self.toward) * beyond >= 0
     }
 
     /// Returns the speed at the target, steps a tick; 0: it rests there, or goes on and on.
@@ -193,7 +206,11 @@ impl<B: StepBackend> Motion<'_, B> {
             return Err(DriveError::Busy);
         }
         self.drives[index] = Some(Drive {
-            leg: Some(Leg { to_steps, how }),
+            leg: Some(Leg {
+                to_steps,
+                how,
+                toward: 0,
+            }),
             due: true,
             turns_at: None,
         });

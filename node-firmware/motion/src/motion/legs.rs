@@ -69,6 +69,19 @@ impl<B: StepBackend> Motion<'_, B> {
         let axes = &mut self.backend.axes()[..self.axis_count];
         let left = self.planner.leave_way(index, &mut axes[index], started_at);
         self.set_due(index, false, None);
+        let at_steps = match left {
+            Left::Resting { base_steps, .. } => base_steps.unwrap_or(self.planned_steps[index]),
+            // Within the last step before it, it is as good as there.
+            Left::Moving { split, .. } => {
+                let made = (split.from.place + Real::of(1).half()).rounded();
+                split.base_steps[index] + split.line.steps[index].signum() * made
+            }
+        };
+        let passed = leg.is_some_and(|leg| leg.has_passed(at_steps));
+        if passed && let Some(drive) = self.drives[index].as_mut() {
+            drive.leg = None;
+        }
+        let leg = leg.filter(|_| !passed);
         match (left, leg) {
             (Left::Resting { at, base_steps }, leg) => {
                 if let Some(base_steps) = base_steps {
@@ -133,6 +146,7 @@ impl<B: StepBackend> Motion<'_, B> {
         {
             let (_, made) = self.planner.go_on_way(index, on, Onward::Past(speed), axes);
             self.planned_steps[index] = on.base_steps[index] + made;
+            self.note_past(index, sign);
             return;
         }
         if !passing.is_none() || Real::of_signed(way) < least {
@@ -179,6 +193,17 @@ impl<B: StepBackend> Motion<'_, B> {
             .planner
             .begin_way(index, line, ends, begin, base_steps, axes);
         self.planned_steps[index] = base_steps + made;
+        if made != way {
+            self.note_past(index, way.signum());
+        }
+    }
+
+    /// The target is to be passed this way.
+    fn note_past(&mut self, index: usize, sign: i64) {
+        let drive = self.drives[index].as_mut();
+        if let Some(leg) = drive.and_then(|drive| drive.leg.as_mut()) {
+            leg.goes_past(sign);
+        }
     }
 
     /// Writes as much of the ways as fits. From rest it begins with those that are due; returns when
