@@ -38,7 +38,8 @@ impl<B: StepBackend> Motion<'_, B> {
             };
         };
         let slows = pace.accel.is_negative() != pace.speed.is_negative();
-        match (pace.accel == Real::ZERO, pace.speed == Real::ZERO) {
+        let is_zero = |value: Real| value.is_none() && !value.is_negative();
+        match (is_zero(pace.accel), is_zero(pace.speed)) {
             (true, true) => Gait::Rest,
             (true, false) => Gait::Coast,
             (false, false) if slows && pace.turns => Gait::Reverse,
@@ -100,8 +101,9 @@ impl<B: StepBackend> Motion<'_, B> {
         {
             return None;
         }
+        let drives = self.is_driving();
         let (channel, started_at) = (&self.backend.axes()[index], self.started_at.0);
-        let ([speed, accel], turns) = if self.is_driving() {
+        let ([speed, accel], turns) = if drives {
             let turns_later = self.drives[index].as_ref().is_some_and(Drive::turns_later);
             let (pace, turns) = self.planner.way_pace(index, channel, started_at)?;
             (pace, turns || turns_later)
