@@ -216,7 +216,9 @@ fn axes_of_a_line_stay_on_it_while_they_slow_down_for_want_of_a_plan() {
         // An S-curve's acceleration holds, though not its jerk.
         for axis in [X, Y] {
             let share = f64::from(steps[axis.index()]) / longest;
-            rests(&bench, axis, f64::from(accel) * share);
+            if place[axis.index()] > 3.0 {
+                rests(&bench, axis, f64::from(accel) * share);
+            }
         }
     }
 }

@@ -18,7 +18,9 @@ const X: AxisId = AxisId(0);
 #[test]
 fn setup_hold_and_intervals_hold_at_the_falling_edge() {
     let falling = Driver::ALL.into_iter();
-    let falling: Vec<_> = falling.filter(|driver| driver.steps_on_falling_edge()).collect();
+    let falling: Vec<_> = falling
+        .filter(|driver| driver.steps_on_falling_edge())
+        .collect();
     assert_eq!(falling, [Driver::Tb6560, Driver::Gecko201]);
     for driver in falling {
         let needs = driver.needs();
@@ -27,11 +29,13 @@ fn setup_hold_and_intervals_hold_at_the_falling_edge() {
         config.motion.axes[0] = AxisProfile::of_driver(driver);
         let mut bench = Bench::new(config);
         let fastest_us = (needs.high_ns + needs.low_ns).div_ceil(1_000);
-        let raw = [7, -3, 1, -1, 30, -24].into_iter().map(|steps| Command::Move {
-            axis: X,
-            delay_us: fastest_us + steps.unsigned_abs() % 3,
-            steps,
-        });
+        let raw = [7_i32, -3, 1, -1, 30, -24]
+            .into_iter()
+            .map(|steps| Command::Move {
+                axis: X,
+                delay_us: fastest_us + steps.unsigned_abs() % 3,
+                steps,
+            });
         let ramp = |steps: i32| Command::Ramp {
             axis: X,
             steps,
@@ -68,7 +72,10 @@ fn setup_hold_and_intervals_hold_at_the_falling_edge() {
                 Pin::Step(of) if of == X => {
                     if let Some(turned_at) = turned_at {
                         let setup = edge.at_ticks - turned_at;
-                        assert!(setup >= ticks(needs.setup_ns), "{name}: set up {setup} ticks");
+                        assert!(
+                            setup >= ticks(needs.setup_ns),
+                            "{name}: set up {setup} ticks"
+                        );
                     }
                     falls.push(edge.at_ticks);
                     count += sign;
@@ -85,7 +92,11 @@ fn setup_hold_and_intervals_hold_at_the_falling_edge() {
             }
         }
         // As far behind the other edge every time: as exact as that.
-        let high: Vec<_> = rises.iter().zip(&falls).map(|(rise, fall)| fall - rise).collect();
+        let high: Vec<_> = rises
+            .iter()
+            .zip(&falls)
+            .map(|(rise, fall)| fall - rise)
+            .collect();
         assert!(high.iter().all(|ticks| *ticks == high[0]), "{name}");
         // What the driver makes of its edges is what is told.
         assert_eq!(count, bench.node.position_steps(X), "{name}");

@@ -102,9 +102,8 @@ fn ruckigs_example_of_three_axes_has_its_times_on_a_line() {
     let (x, z) = (steps_of(&life, X), steps_of(&life, Z));
     // The first edge of Z is at half a step: t³ = 6·0.5 / j.
     let begin = z[0].0 - (3.0_f64 / 10_000.0).cbrt();
-    let at = |steps: &[(f64, i64)], place: usize| {
-        (steps[place - 1].0 + steps[place].0) / 2.0 - begin
-    };
+    let at =
+        |steps: &[(f64, i64)], place: usize| (steps[place - 1].0 + steps[place].0) / 2.0 - begin;
     assert!((at(&z, 500) - 0.669_432_950_1).abs() < 2e-6);
     assert!((at(&z, 10_000) - 2.0).abs() < 1e-6);
     assert!((at(&x, 5_000) - 2.0).abs() < 1e-6);
@@ -142,7 +141,12 @@ fn ruckigs_axis_that_ends_at_a_speed_passes_its_target_at_that_speed() {
 fn compressed_steps_of_klippers_kind_are_there_to_the_tick() {
     // (interval, count, add) in µs: edges at interval·k + add·k(k - 1)/2.
     for (interval, count, add, due_us) in [
-        (10_000, 5, -100, &[10_000, 19_900, 29_700, 39_400, 49_000][..]),
+        (
+            10_000,
+            5,
+            -100,
+            &[10_000, 19_900, 29_700, 39_400, 49_000][..],
+        ),
         (
             50_000,
             6,
@@ -197,7 +201,11 @@ fn a_drive_passes_its_target_and_rests_behind_it_by_its_ramp() {
     }
     // Too short a way to reach it: as fast as it can be.
     let mut bench = bench();
-    bench.drive(X, Target::To(50), Course::hz(5_000, 4_000).passing_mhz(4_000_000));
+    bench.drive(
+        X,
+        Target::To(50),
+        Course::hz(5_000, 4_000).passing_mhz(4_000_000),
+    );
     let life = bench.rest();
     assert!((speed_at(&steps_of(&life, X), 50) - 400_000.0_f64.sqrt()).abs() < 5.0);
     assert_eq!(bench.node.position_steps(X), 100);
@@ -224,10 +232,18 @@ fn the_next_order_takes_the_speed_over_without_a_dip() {
 #[test]
 fn a_target_that_is_too_near_to_pass_slowly_is_passed_on_the_way_back() {
     let mut bench = bench();
-    bench.drive(X, Target::Forever(Direction::Positive), Course::hz(4_000, 8_000));
+    bench.drive(
+        X,
+        Target::Forever(Direction::Positive),
+        Course::hz(4_000, 8_000),
+    );
     bench.run_for(1_000_000);
     let here = bench.node.position_steps(X);
-    bench.drive(X, Target::To(here + 300), Course::hz(4_000, 8_000).passing_mhz(500_000));
+    bench.drive(
+        X,
+        Target::To(here + 300),
+        Course::hz(4_000, 8_000).passing_mhz(500_000),
+    );
     bench.run_for(100_000);
     let motion = bench.node.node_mut().motion_mut();
     assert_eq!(motion.gait(X), Gait::Reverse);

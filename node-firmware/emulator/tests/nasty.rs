@@ -101,7 +101,14 @@ fn ways_of_all_the_steps_there_are_can_be_begun_and_stopped() {
         for command in [
             raw(X, steps, 1),
             ramp(steps, 1_000_000, u32::MAX, trapezoid(0, 0)),
-            ramp(steps, 900_000, 9_000_000, RampShape::Jerk { jerk_hz_per_s2: u32::MAX }),
+            ramp(
+                steps,
+                900_000,
+                9_000_000,
+                RampShape::Jerk {
+                    jerk_hz_per_s2: u32::MAX,
+                },
+            ),
             to(i64::from(steps) << 31),
             to(i64::MIN),
             to(i64::MAX),
@@ -123,9 +130,16 @@ fn ways_of_all_the_steps_there_are_can_be_begun_and_stopped() {
         axis: X,
         position_steps: i64::MAX,
     };
-    bench.order([name, raw(X, 5, 100), ramp(-3, 1_000, 1_000, trapezoid(0, 0))]);
+    bench.order([
+        name,
+        raw(X, 5, 100),
+        ramp(-3, 1_000, 1_000, trapezoid(0, 0)),
+    ]);
     bench.run_to_rest();
-    assert_eq!(bench.node.status().axes[0].position_steps, i64::MAX.wrapping_add(2));
+    assert_eq!(
+        bench.node.status().axes[0].position_steps,
+        i64::MAX.wrapping_add(2)
+    );
 }
 
 #[test]
@@ -138,7 +152,11 @@ fn a_stop_in_the_midst_of_a_turn_with_late_refills_keeps_every_step() {
             config.rmt.refill_ticks_max = 1_600;
             let mut bench = Bench::new(config);
             let there_and_back = |index: i32| {
-                let steps = if index % 2 == 0 { 3 + index } else { -3 - index };
+                let steps = if index % 2 == 0 {
+                    3 + index
+                } else {
+                    -3 - index
+                };
                 [raw(X, steps, 10), raw(Y, -steps, 7)]
             };
             bench.order((0..40).flat_map(there_and_back));
@@ -172,7 +190,11 @@ fn orders_at_every_instant_of_a_drive_that_passes_lose_nothing() {
         bench.run_for(wait_us);
         drive(&mut bench, Target::By(-40), course.passing_mhz(2_000_000));
         bench.run_for(wait_us / 3);
-        drive(&mut bench, Target::Forever(Direction::Negative), course.passing_mhz(5));
+        drive(
+            &mut bench,
+            Target::Forever(Direction::Negative),
+            course.passing_mhz(5),
+        );
         bench.run_for(20_000);
         drive(&mut bench, Target::To(7), course);
         bench.run_for(3_000_000);

@@ -14,11 +14,11 @@ const X: AxisId = AxisId(0);
 #[test]
 fn a_speed_in_any_unit_is_the_interval_at_the_pin() {
     for (course, ticks) in [
-        (Course::hz(3_000, 100_000), 16e6 / 3_000.0),
-        (Course::mhz(1_234_567, 100_000), 16e9 / 1_234_567.0),
-        (Course::mhz(1_500, 100_000), 16e6 / 1.5),
-        (Course::interval_us(333, 100_000), 333.0 * 16.0),
-        (Course::interval_ticks(1_333, 100_000), 1_333.0),
+        (Course::hz(3_000, 2_000_000), 16e6_f64 / 3_000.0),
+        (Course::mhz(1_234_567, 2_000_000), 16e9 / 1_234_567.0),
+        (Course::mhz(1_500, 2_000_000), 16e6 / 1.5),
+        (Course::interval_us(333, 2_000_000), 333.0 * 16.0),
+        (Course::interval_ticks(1_333, 2_000_000), 1_333.0),
         (Course::interval_ticks(16, 4_000_000_000), 16.0),
     ] {
         let mut bench = Bench::new(config());
@@ -34,13 +34,20 @@ fn a_speed_in_any_unit_is_the_interval_at_the_pin() {
         assert_eq!(steps.len(), 1_000);
         // The middle, at full speed.
         let made = (steps[600].0 - steps[400].0) * HZ / 200.0;
-        assert!((made - ticks).abs() <= 2.0 / 200.0, "{made} of {ticks} ticks");
+        assert!(
+            (made - ticks).abs() <= 2.0 / 200.0,
+            "{made} of {ticks} ticks"
+        );
     }
 }
 
 #[test]
 fn the_greatest_speed_of_a_driver_is_told_and_can_be_gone() {
-    for profile in [AxisProfile::default(), AxisProfile::dm556(), AxisProfile::drv8825()] {
+    for profile in [
+        AxisProfile::default(),
+        AxisProfile::dm556(),
+        AxisProfile::drv8825(),
+    ] {
         let mut config = config();
         config.motion.axes[0] = profile;
         let mut bench = Bench::new(config);
@@ -59,7 +66,11 @@ fn an_axis_tells_what_it_does() {
     let course = Course::hz(2_000, 4_000);
     let told = |bench: &mut Bench| {
         let motion = bench.node.node_mut().motion_mut();
-        (motion.gait(X), motion.accel_hz_per_s(X), motion.is_coming_to_rest(X))
+        (
+            motion.gait(X),
+            motion.accel_hz_per_s(X),
+            motion.is_coming_to_rest(X),
+        )
     };
     assert_eq!(told(&mut bench), (Gait::Rest, 0, false));
     let backward = Target::Forever(Direction::Negative);

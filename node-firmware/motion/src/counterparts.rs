@@ -11,7 +11,7 @@
 //! |---|---|---|
 //! | `init(cpu_core)`, `manageSteppers` | [`Motion::new`] | no task of its own: whoever owns it calls [`Motion::poll`] at [`Motion::poll_timeout`]; a late call delays events, never pulses |
 //! | `stepperConnectToPin(pin, driver)`, `getStepPin` | [`MotionConfig::axis_count`], [`StepBackend`] | up to [`CHANNELS`] axes that share one timeline; which pin is the back end's business |
-//! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs, nor of `initI2sMux`, `i2sMuxSetBit` and `i2sMuxGetBit` |
+//! | drivers MCPWM/PCNT, RMT, I2S direct, I2S mux; `driverType`, `initI2sMux`, `i2sMuxSetBit`, `i2sMuxGetBit` | [`StepBackend`] | one kind of pulse unit, the RMT in wrap mode. No counterpart of I2S with its 32 multiplexed outputs |
 //! | `task_rate(ms)`, a stop if it is longer than what is planned | [`Axis::wants_planning`], [`limits::LOW_WATER_TICKS`] | the pulses ask for planning; a planner that is too late is a fault with a name, not a silent stop |
 //! | `setExternalCallForPin`, pins ≥ 128 | [`ShiftConfig`], [`io::shift::ShiftPins`] | enable and direction pins, of C and D too; confirmed by the level read back before the first step, with bounded retries and then a fault that names both words. There it is asked for ever, every 4 ms |
 //! | `setDebugLed` | no counterpart | |

@@ -211,7 +211,10 @@ mod tests {
             assert!(timing.setup_ticks <= SETUP_TICKS_MAX, "{name}");
             assert!(timing.hold_ticks <= HOLD_TICKS_MAX, "{name}");
         }
-        for driver in Driver::ALL.into_iter().filter(|driver| driver.steps_on_falling_edge()) {
+        for driver in Driver::ALL
+            .into_iter()
+            .filter(|driver| driver.steps_on_falling_edge())
+        {
             let timing = Timing::from(AxisProfile::of_driver(driver));
             let least = timing.interval_ticks_min();
             for interval in [least, least + 1, 2 * least, 1_000_000] {

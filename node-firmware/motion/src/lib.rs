@@ -92,8 +92,8 @@ pub use driver::Driver;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
-    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, Gait, LimitHit, Motion,
-    MotionConfig, MotionEvent, Outlook, PlanMemory, Plans, ShiftConfig, SoftLimits, Target,
+    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, Gait, LimitHit,
+    Motion, MotionConfig, MotionEvent, Outlook, PlanMemory, Plans, ShiftConfig, SoftLimits, Target,
 };
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};

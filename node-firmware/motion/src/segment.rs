@@ -156,7 +156,8 @@ impl SegmentRing {
 
     /// Returns whether nothing waits but steps.
     pub(crate) fn are_steps(&self) -> bool {
-        let mut all = (0..self.count).map(|index| &self.segments[(self.first + index) % SEGMENTS_MAX]);
+        let mut all =
+            (0..self.count).map(|index| &self.segments[(self.first + index) % SEGMENTS_MAX]);
         all.all(|segment| matches!(segment, Segment::Steps { .. }))
     }
 

@@ -123,16 +123,25 @@ fn every_public_function_of_the_header_has_a_row() {
         assert!(is_there, "{name} has no row");
     }
     // Each name once: the rows are about all of them, and about nothing that is made up.
-    let quoted = theirs.iter().flat_map(|cell| cell.split('`').skip(1).step_by(2));
+    let quoted = theirs
+        .iter()
+        .flat_map(|cell| cell.split('`').skip(1).step_by(2));
     let called = quoted.map(|name| name.split('(').next().unwrap_or(name));
     let mut called: Vec<_> = called.filter(|name| NAMES.contains(name)).collect();
     called.sort_unstable();
     let mut names = NAMES;
     names.sort_unstable();
-    assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "a name twice");
+    assert!(
+        names.windows(2).all(|pair| pair[0] != pair[1]),
+        "a name twice"
+    );
     called.dedup();
     assert_eq!(called, names);
-    assert!(theirs.len() >= 70, "the table was read: {} rows", theirs.len());
+    assert!(
+        theirs.len() >= 70,
+        "the table was read: {} rows",
+        theirs.len()
+    );
 }
 
 #[test]

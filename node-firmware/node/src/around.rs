@@ -5,9 +5,7 @@ use crate::{
     limits::{BARRIERS_MAX, PUBLICATIONS_MAX},
     script::Publication,
 };
-use keys::{
-    AxisId, Command, LocalMicros, NodeState, StopMode, StopReason, start::BarrierName,
-};
+use keys::{AxisId, Command, LocalMicros, NodeState, StopMode, StopReason, start::BarrierName};
 use motion::{CommandError, Course, DriveError, StepBackend, Target};
 use script::{BarrierError, Full, Host, LidarReading};
 

@@ -832,9 +832,11 @@ impl<'a> Args<'a> {
     fn ramp(&self) -> Result<Ramp, Wrong> {
         let (value, unit) = self.speed(2)?;
         if !matches!(self.0[8], Value::Nil) {
-            return Err("options.passing: a drive can pass its target, a queued ramp rests there; \
+            return Err(
+                "options.passing: a drive can pass its target, a queued ramp rests there; \
                         lines are joined at speed"
-                .into());
+                    .into(),
+            );
         }
         let Some(speed_hz) = unit.whole_hz(value) else {
             return Err(format!(

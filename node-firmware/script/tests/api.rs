@@ -524,7 +524,12 @@ fn a_drive_takes_its_speed_in_every_unit_and_may_pass_its_target() {
         assert_eq!(driven(text), [(AXIS, target, course)], "{text}");
     }
     // The queue has whole Hz.
-    for (unit, value) in [("mhz", 2_000_000), ("us", 500), ("ticks", 8_000), ("hz", 2_000)] {
+    for (unit, value) in [
+        ("mhz", 2_000_000),
+        ("us", 500),
+        ("ticks", 8_000),
+        ("hz", 2_000),
+    ] {
         let queued = commands(&format!(
             "motor.queue_ramp(0, 9, {value}, 50, {{unit = '{unit}'}})"
         ));

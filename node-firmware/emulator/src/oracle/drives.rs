@@ -185,20 +185,29 @@ fn too_jerky(part: &[(Step, Step)], jerk: f64) -> Option<(u64, String)> {
         let count = scale as f64;
         let speed = |from: usize| {
             let span = times[from + 1] - times[from];
-            (count / span, count / span * 2.0 * off_s / (span - 2.0 * off_s).max(1e-9))
+            (
+                count / span,
+                count / span * 2.0 * off_s / (span - 2.0 * off_s).max(1e-9),
+            )
         };
         let accel = |from: usize| {
             let (before, behind) = (speed(from), speed(from + 1));
             let half = (times[from + 2] - times[from]) / 2.0;
             let accel = (behind.0 - before.0) / half;
-            (accel, (before.1 + behind.1) / half + accel.abs() * off_s / half)
+            (
+                accel,
+                (before.1 + behind.1) / half + accel.abs() * off_s / half,
+            )
         };
         let (before, behind) = (accel(0), accel(1));
         let third = (times[3] - times[0]) / 3.0;
         let found = (behind.0 - before.0) / third;
         let slack = (before.1 + behind.1) / third;
         (found.abs() > jerk * (1.0 + 1e-6) + slack).then(|| {
-            let message = format!("{found:.0} steps/s³ over {} steps, {jerk} were allowed", 3 * scale);
+            let message = format!(
+                "{found:.0} steps/s³ over {} steps, {jerk} were allowed",
+                3 * scale
+            );
             (steps[index + 3 * scale].at, message)
         })
     })

@@ -82,8 +82,7 @@ impl<B: StepBackend> Motion<'_, B> {
         let index = usize::from(axis.0);
         let leg = self.drives.get(index)?.as_ref()?.leg()?;
         let to_steps = leg.to_steps();
-        (!is_endless_at(to_steps))
-            .then(|| self.planned_origins_steps[index].wrapping_add(to_steps))
+        (!is_endless_at(to_steps)).then(|| self.planned_origins_steps[index].wrapping_add(to_steps))
     }
 
     /// Returns how long what is planned lasts from now on, ticks; what waits in the queue and is not
@@ -97,7 +96,8 @@ impl<B: StepBackend> Motion<'_, B> {
 
     fn pace(&mut self, axis: AxisId) -> Option<Pace> {
         let index = usize::from(axis.0);
-        if index >= self.axis_count || !matches!(self.phase, Phase::Playing { .. } | Phase::Decelerating)
+        if index >= self.axis_count
+            || !matches!(self.phase, Phase::Playing { .. } | Phase::Decelerating)
         {
             return None;
         }

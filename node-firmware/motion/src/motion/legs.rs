@@ -25,7 +25,12 @@ impl<B: StepBackend> Motion<'_, B> {
 
     /// Hold, resumption or another speed: every way is made anew.
     pub(super) fn change_drives(&mut self) {
-        for drive in self.drives.iter_mut().flatten() {
+        let rests = self.phase == Phase::Rest;
+        for (drive, at_steps) in self.drives.iter_mut().zip(self.planned_steps) {
+            let Some(drive) = drive else { continue };
+            if rests && drive.leg.is_some_and(|leg| leg.has_passed(at_steps)) {
+                drive.leg = None;
+            }
             drive.due |= drive.leg.is_some();
         }
         self.pass_drives();

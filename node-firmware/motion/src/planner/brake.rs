@@ -73,7 +73,10 @@ impl Planner {
         let from_ticks = from.saturating_sub(started_at);
         self.braked = from < u64::MAX;
         for (axis, brake) in axes.iter_mut().zip(brakes) {
-            axis.set_brake(brake.map(|brake| Brake { from_ticks, ..brake }));
+            axis.set_brake(brake.map(|brake| Brake {
+                from_ticks,
+                ..brake
+            }));
         }
     }
 

@@ -659,7 +659,11 @@ impl Planner {
         let sign = stretch.line.steps[index].signum();
         let last = self.way(index).last()?;
         let turns = last.line.steps[index].signum() != sign;
-        let pace = if sign < 0 { [-speed, -accel] } else { [speed, accel] };
+        let pace = if sign < 0 {
+            [-speed, -accel]
+        } else {
+            [speed, accel]
+        };
         Some((pace, turns))
     }
 
