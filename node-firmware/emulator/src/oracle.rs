@@ -96,8 +96,8 @@ pub struct Limits {
 
 impl Default for Limits {
     /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn takes 2.5 µs of
-    /// high time, 10 µs of hold, what makes its half block last 100 µs, and one of 100 µs and the
-    /// setup; commands are wanted 25 ms ahead; a stop takes effect within 2 ms.
+    /// high time, 100 µs for its half block, and one of 100 µs and the setup; commands are wanted 25 ms
+    /// ahead; a stop takes effect within 2 ms.
     fn default() -> Self {
         Self {
             high_ticks_min: 8,
@@ -105,7 +105,7 @@ impl Default for Limits {
             setup_ticks_min: 160,
             hold_ticks_min: 160,
             skew_ticks: 3,
-            turn_ticks_max: 223 * TICKS_PER_US,
+            turn_ticks_max: 213 * TICKS_PER_US,
             ahead_ticks: 25_000 * TICKS_PER_US,
             stop_accel_hz_per_s: 100_000,
             junction_hz: 200,

@@ -89,7 +89,7 @@
 //! | `steps = 0` is a pause | [`Command::Pause`] | |
 //! | edges at 0, t, 2t, then t of rest | [`Command::Move`] | the same |
 //! | `addQueueEntry(NULL, true)` on each stepper, nearly at one time | [`Command::Barrier`], [`Motion::release_barrier`] | at an instant that is given, ±3 ticks between the axes, and told by [`MotionEvent::Started`]; axes then never drift apart |
-//! | a pause before the first step of another direction | the same, only what is missing of the time that the steps leave anyway | at most 220 µs by the default profile, and none between ramps; the refills around it may come 100 µs late |
+//! | a pause before the first step of another direction | the same, only what is missing of the time that the steps leave anyway | at most 210 µs by the default profile, and none between ramps; the refills around it may come 100 µs late |
 //! | `isQueueEmpty`, `isQueueFull`, `isQueueRunning`, `queueEntries` | [`Motion::credit_commands`], [`Motion::accepted_commands`], [`Motion::executed_commands`], [`Motion::is_active`] | |
 //! | `ticksInQueue`, `hasTicksInQueue` | [`Motion::planned_ticks`] | and to run dry is told: [`MotionEvent::Underrun`] |
 //! | `getPeriodInUsAfterCommandsCompleted`, `getPeriodInTicksAfterCommandsCompleted` | none needed; [`Motion::course`] of a drive without end | what is planned ends at rest, so there is no speed behind it |

@@ -10,7 +10,7 @@
 //!
 //! A change of direction needs a window of rest (see the encoder). Mostly the time between two
 //! steps is enough; where it is not, all axes rest a little longer, and that is the only time that
-//! is added to what a job asks for: at most 220 µs with the default profile, where two steps in opposite directions are next to each
+//! is added to what a job asks for: at most 210 µs with the default profile, where two steps in opposite directions are next to each
 //! other.
 
 use crate::{

@@ -170,8 +170,9 @@ impl Timing {
     /// half block, which may hold one step only and has to last until the next one is written; then a
     /// half block in which the refill finds nothing stepping.
     pub(crate) fn window_ticks(&self) -> u64 {
-        let half = (REFILL_WORDS as u64 * WORD_TICKS_MIN).max(TURN_LATENCY_TICKS);
-        self.hold_ticks.max(self.low_ticks_min) + half + self.turn_ticks()
+        let hold = self.hold_ticks.max(self.low_ticks_min);
+        let half = REFILL_WORDS as u64 * WORD_TICKS_MIN;
+        (hold + half).max(TURN_LATENCY_TICKS) + self.turn_ticks()
     }
 
     /// Returns the least that the half block of a turn lasts, ticks.
