@@ -44,7 +44,7 @@ impl Drive {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leg {
     /// Target, steps since boot.
-    to_steps: i64,
+    pub(super) to_steps: i64,
     pub(super) how: Course,
     /// Which way it goes past its target, once that is planned; 0: not yet, or it rests there.
     toward: i64,
@@ -56,10 +56,6 @@ pub(super) const fn is_endless_at(to_steps: i64) -> bool {
 }
 
 impl Leg {
-    pub(super) fn to_steps(&self) -> i64 {
-        self.to_steps
-    }
-
     /// Steps from a place, no more than a way may have.
     pub(super) fn from(&self, from_steps: i64) -> i64 {
         let way = i128::from(self.to_steps) - i128::from(from_steps);

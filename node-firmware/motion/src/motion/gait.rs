@@ -81,7 +81,7 @@ impl<B: StepBackend> Motion<'_, B> {
     pub fn target_position(&self, axis: AxisId) -> Option<i64> {
         let index = usize::from(axis.0);
         let leg = self.drives.get(index)?.as_ref()?.leg()?;
-        let to_steps = leg.to_steps();
+        let to_steps = leg.to_steps;
         (!is_endless_at(to_steps)).then(|| self.planned_origins_steps[index].wrapping_add(to_steps))
     }
 
