@@ -179,6 +179,10 @@ fn both(life: &emulator::record::Life) -> Vec<(f64, usize)> {
     all
 }
 
+/// Up to a step by the edges themselves, up to one because each begins to slow down at its next edge, and
+/// half a step because its speed is that of the last whole interval.
+const OFF_MAX: f64 = 2.5;
+
 /// How far the shorter axis is off the line at most, steps, and where both rest. An edge is in the middle
 /// of its step, so both edges alone make up to a step.
 fn off_the_line(life: &emulator::record::Life, steps: [i32; 2]) -> (f64, [f64; 2]) {
@@ -216,7 +220,7 @@ fn axes_of_a_line_stay_on_it_while_they_slow_down_for_want_of_a_plan() {
         let (off, place) = off_the_line(&bench.node.life(), steps);
         println!("{what}: off by {off:.2} steps, at rest at {place:?}");
         assert!(place[0] + place[1] < 900_000.0, "{what}: it starved");
-        assert!(off <= 2.0, "{what}: {off} steps off the line");
+        assert!(off <= OFF_MAX, "{what}: {off} steps off the line");
         // An S-curve's acceleration holds, though not its jerk.
         let longest = f64::from(steps[0].max(steps[1]));
         for axis in [X, Y] {
@@ -231,7 +235,7 @@ fn axes_of_a_line_stay_on_it_while_they_slow_down_for_want_of_a_plan() {
 #[test]
 fn random_lines_that_starve_rest_on_their_line() {
     let mut starved = 0;
-    for seed in seeds(40) {
+    for seed in seeds(20) {
         let mut random = Random(seed ^ 0x57a2);
         let mut way = || 200 + random.of_size(20) as i32;
         let steps = [way(), way()];
@@ -267,7 +271,7 @@ fn random_lines_that_starve_rest_on_their_line() {
         let life = bench.node.life();
         let what = format!("seed {seed}: {steps:?}, {speed_hz} Hz, {accel}, {jerk_hz_per_s2}");
         let (off, place) = off_the_line(&life, steps);
-        assert!(off <= 2.0, "{what}: {off} steps off the line, {place:?}");
+        assert!(off <= OFF_MAX, "{what}: {off} steps off the line, {place:?}");
         let longest = f64::from(steps[0].max(steps[1]));
         for axis in [X, Y] {
             let share = f64::from(steps[axis.index()]) / longest;
@@ -277,6 +281,7 @@ fn random_lines_that_starve_rest_on_their_line() {
         }
     }
     println!("{starved} starved");
+    assert!(starved > 0);
 }
 
 #[test]

@@ -51,7 +51,7 @@
 //!   ([`Course::passing_mhz`]); what nobody takes over slows down to rest.
 //! - What is planned ends at rest. A planner that comes too late in the middle of a path finds the
 //!   axes at rest: all have slowed down together by the path's acceleration on the brake that was left
-//!   with what is written, within two steps of their line (see `planner/brake.rs` for what holds, and
+//!   with what is written, within a step and a half of their line (see `planner/brake.rs` for what holds, and
 //!   that jerk does not). That is a fault; nothing goes on from there by itself.
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.

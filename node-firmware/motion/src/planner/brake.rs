@@ -16,8 +16,9 @@
 //! - *Speed*: it only falls.
 //! - *Way*: no axis goes beyond where the known path would have led it.
 //! - *The line*: all axes begin to slow down at one time, that of the axis whose segments end first,
-//!   each at its first edge behind it, in the proportion of their speeds. So they leave the line on
-//!   which they were by two steps at most. They do not follow a corner behind it.
+//!   each at its first edge behind it, in the proportion of their speeds as of the last whole interval.
+//!   So they leave the line on which they were by a step and a half at most. They do not follow a
+//!   corner behind it.
 
 use super::{Planner, stretch::Stretch, ways::room_of};
 use crate::{
