@@ -271,7 +271,10 @@ fn random_lines_that_starve_rest_on_their_line() {
         let life = bench.node.life();
         let what = format!("seed {seed}: {steps:?}, {speed_hz} Hz, {accel}, {jerk_hz_per_s2}");
         let (off, place) = off_the_line(&life, steps);
-        assert!(off <= OFF_MAX, "{what}: {off} steps off the line, {place:?}");
+        assert!(
+            off <= OFF_MAX,
+            "{what}: {off} steps off the line, {place:?}"
+        );
         let longest = f64::from(steps[0].max(steps[1]));
         for axis in [X, Y] {
             let share = f64::from(steps[axis.index()]) / longest;

@@ -282,10 +282,13 @@ impl Encoder {
         self.encoded_ticks + self.kept_ticks()
     }
 
-    /// Returns the rest that a turn which has begun still needs, ticks.
+    /// Returns the rest that a turn which has begun still needs, ticks; and what is more than that by
+    /// less than a word, because that cannot be rested alone.
     fn kept_ticks(&self) -> u64 {
+        let turn_ticks = self.timing.turn_ticks();
         match self.turn {
-            Turn::Filling => self.low_ticks.min(self.timing.turn_ticks()),
+            Turn::Filling if self.low_ticks < turn_ticks + WORD_TICKS_MIN => self.low_ticks,
+            Turn::Filling => turn_ticks,
             Turn::None | Turn::Due => 0,
         }
     }
