@@ -13,6 +13,8 @@
 ---@field jerk? integer Jerk, steps/s³: an S-curve.
 ---@field linear_steps? integer Steps of linearly growing acceleration.
 ---@field jump_steps? integer Steps whose speed the move starts with.
+---@field unit? "hz"|"mhz"|"us"|"ticks" What the speed is told in: Hz (the default), thousandths of a Hz, or the time from step to step, µs or ticks of 62.5 ns. A queued ramp needs whole Hz.
+---@field passing? integer Drives only: the speed, in the same unit, with which the target is passed; behind it the axis comes to rest, unless it is driven elsewhere by then.
 
 ---What `node.status` returns.
 ---@class NodeStatus

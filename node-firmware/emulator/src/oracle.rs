@@ -12,7 +12,7 @@
 //! | every edge of a ramp and of a line that stands alone | within 1 tick of the ideal |
 //! | lines in a row, which may be joined | limits of speed, acceleration, jerk and corners, one by one and in a row; all axes at one place; never longer than with a halt at each corner |
 //! | axes that start together | within [`Limits::skew_ticks`] |
-//! | no gap between commands that were there in time | to the tick; at a turn up to [`Limits::turn_ticks_max`] |
+//! | no gap between commands that were there in time | to the tick; where an axis turns, until [`Limits::turn_ticks_max`] after its last edge |
 //! | raw moves that are held | all intervals but one to the tick; that one as much longer on every axis |
 //! | nothing after a stop but a deceleration | raw moves: v² falls by 2a a step; paths: on the path, by their own limits, at rest in time |
 //! | homing: ways, speeds, and the position of the switch | to the step |
@@ -79,7 +79,8 @@ pub struct Limits {
     pub hold_ticks_min: u64,
     /// Most that axes that start together may differ, ticks.
     pub skew_ticks: u64,
-    /// Most that a turn may add between two commands, ticks.
+    /// A turn may hold a command up until this long after the last active edge of the axis, ticks;
+    /// no longer, and not at all where it is due later anyway.
     pub turn_ticks_max: u64,
     /// A command that was there this long before its turn must follow without a gap, ticks.
     pub ahead_ticks: u64,
@@ -94,8 +95,9 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn adds less than
-    /// 100 µs; commands are wanted 25 ms ahead; a stop takes effect within 2 ms.
+    /// The default driver profile: 500 ns high and low, 10 µs setup and hold; a turn takes 2.5 µs of
+    /// high time, 100 µs for its half block, and one of 100 µs and the setup; commands are wanted 25 ms
+    /// ahead; a stop takes effect within 2 ms.
     fn default() -> Self {
         Self {
             high_ticks_min: 8,
@@ -103,7 +105,7 @@ impl Default for Limits {
             setup_ticks_min: 160,
             hold_ticks_min: 160,
             skew_ticks: 3,
-            turn_ticks_max: 100 * TICKS_PER_US,
+            turn_ticks_max: 213 * TICKS_PER_US,
             ahead_ticks: 25_000 * TICKS_PER_US,
             stop_accel_hz_per_s: 100_000,
             junction_hz: 200,

@@ -192,7 +192,8 @@ fn a_stop_ends_a_held_move_where_it_rests() {
 
 #[test]
 fn random_raw_moves_with_random_holds_lose_no_step_and_no_tick() {
-    for seed in seeds(400) {
+    // In the last ones a hold falls into the half block before a turn.
+    for seed in seeds(400).chain([3_549, 4_708, 7_005, 14_452]) {
         let mut random = Random(seed);
         let mut bench = Bench::new(config());
         let mut end = [0_i64; 2];

@@ -131,6 +131,34 @@ fn a_move_to_a_place_has_no_lease_and_a_single_step_is_one() {
 }
 
 #[test]
+fn an_s_curve_by_hand_keeps_its_jerk_at_the_pins_and_more_is_found() {
+    let mut bench = bench();
+    let by_hand = |bench: &mut Bench, what: &str, speed_hz: u32, wait_us: u64| {
+        bench.jog(&format!(
+            r#"{{"axis":0,{what},"speed_hz":{speed_hz},"accel":8000,"jerk":40000}}"#
+        ));
+        bench.run_for(wait_us);
+    };
+    // Another speed and another target in flight, also while it speeds up or slows down; it turns.
+    by_hand(&mut bench, r#""to":9000"#, 3_000, 350_000);
+    by_hand(&mut bench, r#""to":9000"#, 5_000, 600_000);
+    by_hand(&mut bench, r#""to":9000"#, 1_500, 200_000);
+    by_hand(&mut bench, r#""to":4000"#, 4_000, 300_000);
+    by_hand(&mut bench, r#""to":-2000"#, 4_000, 9_000_000);
+    assert_eq!(bench.position(X), -2_000);
+    let mut life = bench.judged();
+    assert_eq!(life.drives.len(), 1);
+    for order in &mut life.drives[0].orders {
+        order.shape = keys::command::RampShape::Jerk {
+            jerk_hz_per_s2: 39_000,
+        };
+    }
+    let found = emulator::oracle::check_life(&life).expect_err("it has more");
+    let found = found[0].to_string();
+    assert!(found.contains("steps/s³"), "{found}");
+}
+
+#[test]
 fn speed_target_and_direction_change_in_flight() {
     let mut bench = bench();
     bench.jog(r#"{"axis":0,"run":"forward","speed_hz":1000,"accel":4000,"lease_ms":5000}"#);

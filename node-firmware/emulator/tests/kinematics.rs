@@ -1,5 +1,8 @@
 //! The judge's own textbook against the reference cases, and against its own derivatives.
 
+#[path = "bench/motor.rs"]
+mod motor;
+
 use emulator::kinematics::Ideal;
 use keys::Command;
 
@@ -281,9 +284,8 @@ fn is_consistent(ideal: &Ideal, speed: f64, accel: f64, jerk: Option<f64>) {
 
 #[test]
 fn random_moves_keep_their_limits_and_are_consistent() {
-    let mut seed = 2_026;
-    for _ in 0..3_000 {
-        let before = seed;
+    for before in motor::seeds(3_000) {
+        let mut seed = before.wrapping_mul(0x2026_0000_0001);
         let steps = random(&mut seed, 6.0);
         let (speed, accel) = (random(&mut seed, 5.3), random(&mut seed, 7.0));
         let (linear, jump) = (random(&mut seed, 4.8) - 1.0, random(&mut seed, 3.0) - 1.0);

@@ -14,8 +14,8 @@
 //! | half a block of rest, where a path ends | never less than [`REST_HALF_TICKS_MIN`] |
 //!
 //! The latency is drawn for each refill of each channel by itself; what a channel waits for the
-//! refills of the other three is part of it. Turns at speed are not asked of it here: their window
-//! is made for 50 µs.
+//! refills of the other three is part of it. A turn is made in a refill, too: its window is made for
+//! the same 100 µs, and so is the half block before it, however few steps it holds.
 
 mod bench;
 
@@ -117,6 +117,42 @@ fn four_axes_at_200_khz_follow_s_curves_and_joined_lines_with_late_refills() {
     let edges = rises(&life, 0);
     let at_speed = &edges[18_000..19_000];
     assert_eq!(at_speed[999] - at_speed[0], 999 * STEP_TICKS);
+}
+
+#[test]
+fn turns_at_speed_and_out_of_rest_make_no_gap_with_late_refills() {
+    // A half block ends with any number of steps before the turn: 1 to 24 of them.
+    let sync = |count: i32, way: i32| Command::SyncMove {
+        delay_us: [5, 5],
+        steps: [way * count, -way * count],
+    };
+    let raw = (1..=60).flat_map(|count| [sync(count, 1), sync(count, -1)]);
+    // From one direction to the other by the hardest ramp, and by a soft one.
+    let ramps = [80_000_000, 2_000_000].into_iter().flat_map(|accel| {
+        let there = line([3_000, -2_999, 1_500, 1], accel, 0);
+        let back = line([-3_000, 2_999, -1_500, -1], accel, 0);
+        [there, back, there, back]
+    });
+    let zigzag = (0..40).map(|index| {
+        let way = if index % 2 == 0 { 25 } else { -25 };
+        line([400, way, -way, 200], 2_000_000, 0)
+    });
+    let commands: Vec<_> = raw.chain(ramps).chain(zigzag).collect();
+    for (least, seed) in [
+        (0, 11),
+        (LATENCY_TICKS / 2, 12),
+        (LATENCY_TICKS - 16, 13),
+        (LATENCY_TICKS, 14),
+    ] {
+        println!("latency {least} to {LATENCY_TICKS}, seed {seed}");
+        let life = run(late(least, LATENCY_TICKS, seed), commands.clone());
+        let steps = commands.iter().map(|command| match command {
+            Command::SyncMove { steps, .. } => steps[0].unsigned_abs() as usize,
+            Command::Line { steps, .. } => steps[0].unsigned_abs() as usize,
+            _ => 0,
+        });
+        assert_eq!(rises(&life, 0).len(), steps.sum::<usize>());
+    }
 }
 
 #[test]

@@ -193,6 +193,23 @@ fn a_gap_between_commands_is_found() {
 }
 
 #[test]
+fn a_turn_that_has_had_its_rest_before_is_no_reason_for_a_gap() {
+    assert!(
+        found(|life| {
+            // X turns there, and has rested for 2 ms while Y has moved: 60 µs more are a gap.
+            let at = life.edges[nth_rise(life, 100)].at_ticks - 10;
+            for event in &mut life.edges {
+                if event.at_ticks > at {
+                    event.at_ticks += 960;
+                }
+                event.at_ticks += 16_000_000;
+            }
+        })
+        .contains("a gap of")
+    );
+}
+
+#[test]
 fn a_command_that_was_taken_and_not_played_is_found() {
     found(|life| {
         let mut more = life.commands[0];

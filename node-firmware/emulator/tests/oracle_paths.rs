@@ -2,6 +2,8 @@
 //! they do not.
 
 mod drawing;
+#[path = "bench/motor.rs"]
+mod motor;
 
 use drawing::Drawing;
 use emulator::{kinematics::Ideal, oracle};
@@ -181,16 +183,10 @@ fn a_target_counts_from_where_the_commands_before_lead() {
 
 #[test]
 fn random_ramps_and_lines_pass() {
-    let mut seed = 5u64;
-    let mut random = |from: u64, to: u64| {
-        seed = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut word = seed;
-        word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        from + (word ^ (word >> 31)) % (to - from)
-    };
-    for round in 0..300 {
-        println!("round {round}");
+    for seed in motor::seeds(300) {
+        println!("seed {seed}");
+        let mut numbers = motor::Random(seed ^ 0x0dd5);
+        let mut random = |from: u64, to: u64| from + numbers.below(to - from);
         let mut drawing = Drawing::new();
         for _ in 0..10 {
             let sign = if random(0, 2) == 0 { 1 } else { -1 };

@@ -109,14 +109,15 @@ fn fast_single_steps_follow_each_other_without_a_gap() {
 
 #[test]
 fn a_turn_costs_no_time_where_the_step_leaves_it() {
-    let life = run((0..40).map(|index| steps(X, 200, if index % 2 == 0 { 3 } else { -3 })));
+    // 2.5 µs high, 100 µs for the half block of the last step, 100 µs and the setup for the turn.
+    let life = run((0..40).map(|index| steps(X, 213, if index % 2 == 0 { 3 } else { -3 })));
     let edges = rises(&life, X);
-    assert!(edges.windows(2).all(|pair| pair[1] - pair[0] == 3_200));
+    assert!(edges.windows(2).all(|pair| pair[1] - pair[0] == 213 * 16));
     assert_eq!(life.status.axes[0].position_steps, 0);
 }
 
 #[test]
-fn a_turn_of_fast_steps_adds_less_than_100_us_and_the_axes_stay_together() {
+fn a_turn_of_fast_steps_adds_no_more_than_its_window_and_the_axes_stay_together() {
     let mut commands = Vec::new();
     for index in 0..300 {
         let sign = if index % 2 == 0 { 1 } else { -1 };
@@ -272,14 +273,16 @@ fn a_refill_that_turns_the_motor_too_late_for_its_driver_stops_everything() {
         assert_eq!(status.axes[0].position_steps, bench.node.step_count(X));
         status.faults.first().map(|fault| fault.code)
     };
-    // The window is 50 µs and the driver's 10 µs of setup.
-    assert_eq!(fault_of(50), None);
-    assert_eq!(fault_of(55), Some(FaultCode::REFILL_LATE));
+    // The window is 100 µs and the driver's 10 µs of setup.
+    assert_eq!(fault_of(100), None);
+    assert_eq!(fault_of(105), Some(FaultCode::REFILL_LATE));
 }
 
 #[test]
 fn a_refill_within_its_deadline_changes_nothing() {
     let mut config = config();
+    // Nothing rests beside it: half a block of rest may be shorter.
+    config.axis_count = 1;
     // 24 steps of 10 µs are 240 µs.
     config.rmt.refill_ticks_min = 0;
     config.rmt.refill_ticks_max = 16 * 230;

@@ -3,7 +3,10 @@
 
 mod bench;
 
-use bench::{Bench, config, motor::seeds_from};
+use bench::{
+    Bench, config,
+    motor::{seeds, seeds_from},
+};
 use emulator::{
     pins::{Pin, PinEvent},
     record::Life,
@@ -286,7 +289,7 @@ fn curve(round: u64) -> Vec<Command> {
 
 #[test]
 fn lines_that_stand_alone_are_exact_on_all_axes() {
-    for round in 0..200 {
+    for round in seeds(200) {
         println!("seed {round}");
         run(alone(&mut Random(1_000 + round)));
     }
@@ -294,7 +297,7 @@ fn lines_that_stand_alone_are_exact_on_all_axes() {
 
 #[test]
 fn lines_in_a_row_keep_their_limits() {
-    for round in 0..300 {
+    for round in seeds(300) {
         println!("seed {round}");
         run(row(round));
     }
@@ -302,7 +305,7 @@ fn lines_in_a_row_keep_their_limits() {
 
 #[test]
 fn curves_of_short_lines_keep_their_limits() {
-    for round in 0..200 {
+    for round in seeds(200) {
         println!("seed {round}");
         run(curve(round));
     }

@@ -170,6 +170,18 @@ impl Axis {
         self.encoder.decelerate(goes_on, steps_ahead);
     }
 
+    /// Another axis has slowed down for want of a plan: so does this one, now or when it is time.
+    pub(crate) fn slow_down_with_others(&mut self) {
+        if self.encoder.is_starved() || self.encoder.brakes_in_time() {
+            return;
+        }
+        if self.encoder.has_brake() {
+            self.encoder.brake(&mut self.segments);
+        } else {
+            self.decelerate();
+        }
+    }
+
     /// Takes how to slow down if the planner comes too late.
     pub(crate) fn set_brake(&mut self, brake: Option<Brake>) {
         self.encoder.set_brake(brake);

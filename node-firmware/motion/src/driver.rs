@@ -2,9 +2,12 @@
 
 /// A driver whose timing is known: LinuxCNC's stepper table, where nothing else is said.
 ///
-/// Some step on the falling edge, as the table says. Their step input has to see the pulse inverted,
-/// by an inverting buffer or with the opto-coupler's anode at the supply: this crate's active edge is
-/// the rising one, and the direction is set up for that.
+/// Some step on the falling edge, as the table says: at the end of the high time. Their profile has
+/// one high time at every speed ([`AxisProfile::of_driver`](crate::AxisProfile::of_driver)), so that
+/// each falling edge lies as much behind its ideal instant, and from one to the next it is to the tick
+/// what the ideal is. The direction is set up before the rising edge, earlier than they demand; and it
+/// is held behind the falling one. A step is told of with its rising edge, and a halt plays its high
+/// time to the end, so what is counted is what they make. They want the pulse as it is, not inverted.
 ///
 /// | driver | high ns | low ns | hold ns | setup ns | Hz at most | edge |
 /// |---|---|---|---|---|---|---|
@@ -207,6 +210,16 @@ mod tests {
             assert!(holds(timing.hold_ticks, needs.hold_ns), "{name}");
             assert!(timing.setup_ticks <= SETUP_TICKS_MAX, "{name}");
             assert!(timing.hold_ticks <= HOLD_TICKS_MAX, "{name}");
+        }
+        for driver in Driver::ALL
+            .into_iter()
+            .filter(|driver| driver.steps_on_falling_edge())
+        {
+            let timing = Timing::from(AxisProfile::of_driver(driver));
+            let least = timing.interval_ticks_min();
+            for interval in [least, least + 1, 2 * least, 1_000_000] {
+                assert_eq!(timing.high_of(interval), timing.high_ticks_min);
+            }
         }
         assert_eq!("a4989".parse::<Driver>(), Err(UnknownDriver));
         // LinuxCNC's table: rates of the slow ones.

@@ -29,7 +29,8 @@
 //!
 //! **No plan.** Where the planner comes too late, the segments end in full run. For that the planner
 //! leaves a brake with every part of a path that it writes: the axis slows down as in a controlled
-//! stop, by the path's own acceleration and on the path's own way.
+//! stop, by the path's own acceleration and on the path's own way. All axes of a line take it at one
+//! time, that of the one whose segments end first.
 
 mod fill;
 mod rest;
@@ -61,13 +62,17 @@ enum Turn {
     Due,
 }
 
-/// How to slow down where the plan ends in full run.
+/// How to slow down where the planner does not come back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Brake {
-    /// Deceleration, steps/s², from 1.
-    pub(crate) accel_hz_per_s: u32,
-    /// Steps of the path that the axis has still before it, in the same direction.
+    /// What the square of the speed loses in a step, 2a, mHz², from 1.
+    pub(crate) lost: u64,
+    /// Steps of the path that are not written and that the axis has still before it, in the same
+    /// direction.
     pub(crate) steps_max: u64,
+    /// When it is taken, though more of the plan may be written then, ticks since the start: so all
+    /// axes of a line begin to slow down together. `u64::MAX`: where what is written ends.
+    pub(crate) from_ticks: u64,
 }
 
 /// Where another plan goes on.
@@ -109,10 +114,13 @@ pub(crate) struct Encoder {
     brake: Option<Brake>,
     /// It ended in full run, and the brake was taken.
     starved: bool,
-    /// Deceleration of a controlled stop, steps/s²; `None`: that of the profile.
-    stop_accel_hz_per_s: Option<u32>,
-    /// Speed of a controlled stop, mHz.
+    /// What the square of the speed loses in a step of a controlled stop, mHz²; `None`: by the
+    /// deceleration of the profile.
+    stop_lost: Option<u64>,
+    /// Speed of a controlled stop, mHz, rounded down.
     stopping_mhz: Option<u64>,
+    /// Its square, mHz².
+    stopping_square: u64,
     /// Steps that it may still make.
     stopping_steps_max: u64,
     trend: trend::Trend,
@@ -145,8 +153,9 @@ impl Encoder {
             turn: Turn::None,
             brake: None,
             starved: false,
-            stop_accel_hz_per_s: None,
+            stop_lost: None,
             stopping_mhz: None,
+            stopping_square: 0,
             stopping_steps_max: 0,
             trend: trend::Trend::NONE,
             quick_mhz_min: 0,
@@ -214,10 +223,13 @@ impl Encoder {
         self.encoded_ticks + self.kept_ticks()
     }
 
-    /// Returns the rest that a turn which has begun still needs, ticks.
+    /// Returns the rest that a turn which has begun still needs, ticks; and what is more than that by
+    /// less than a word, because that cannot be rested alone.
     fn kept_ticks(&self) -> u64 {
+        let turn_ticks = self.timing.turn_ticks();
         match self.turn {
-            Turn::Filling => self.low_ticks.min(self.timing.turn_ticks()),
+            Turn::Filling if self.low_ticks < turn_ticks + WORD_TICKS_MIN => self.low_ticks,
+            Turn::Filling => turn_ticks,
             Turn::None | Turn::Due => 0,
         }
     }
@@ -274,6 +286,9 @@ impl Encoder {
             }
         }
         while out.left() > 0 && !self.ended {
+            if self.brakes_now(&out) {
+                self.brake(segments);
+            }
             if self.turn == Turn::Filling && out.count == 0 {
                 self.window(&mut out);
             } else if self.low_ticks > 0 {
@@ -283,7 +298,7 @@ impl Encoder {
                     self.slower_step(speed_mhz, &mut out);
                 }
             } else if self.steps_left > 0 {
-                if !self.run(&mut out) {
+                if self.brakes_within(&out) || !self.run(&mut out) {
                     self.step(segments, &mut out);
                 }
             } else {
@@ -332,7 +347,7 @@ impl Encoder {
                 self.resting = true;
             }
             Some(Segment::Turn { .. }) => self.begin_turn(segments, out),
-            None if self.starve() => {}
+            None if self.brake(segments) => {}
             None => self.end(out),
         }
     }

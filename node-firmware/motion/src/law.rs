@@ -18,7 +18,8 @@ mod units;
 pub(crate) use approach::{Approach, Pace};
 pub use piece::{Bend, Piece, RISE_PIECES, Rise};
 pub use units::{
-    accel_from_hz_per_s, jerk_from_hz_per_s2, speed_from_hz, speed_from_interval, speed_from_mhz,
+    accel_from_hz_per_s, hz_per_s_from_accel, jerk_from_hz_per_s2, speed_from_hz,
+    speed_from_interval, speed_from_mhz,
 };
 
 use crate::{real::Real, smooth::Curve};

@@ -22,7 +22,8 @@
 //! | `motion/change.rs`, `motion/stand.rs` | hold, resume, speed: changed in flight; raw moves stand still |
 //! | `planner/brake.rs` | how each axis slows down if the planner does not come back |
 //! | [`driver`] | what drivers demand, by name |
-//! | `motion/drive.rs`, `planner/ways.rs` | axes that are driven each by itself |
+//! | `motion/drive.rs`, `motion/legs.rs`, `planner/ways.rs` | axes that are driven each by itself |
+//! | `motion/gait.rs` | what an axis does just now |
 //! | `motion/inputs.rs`, `motion/homing.rs` | switches: limits, and the way to a reference |
 //! | `motion/reach.rs` | soft limits |
 //! | `motion/named.rs`, `motion/outputs.rs` | C and D; laser, enable pins, shift register, lidar |
@@ -46,9 +47,12 @@
 //! - A change in flight takes effect behind what the hardware holds: 2 ms at most.
 //! - A hold costs no step and no tick: a path slows down and goes on by its own limits, raw moves
 //!   stand still on one tick of all axes and go on from it.
+//! - A line is left at the speed with which the next one goes on, a drive may pass its target at a speed
+//!   ([`Course::passing_mhz`]); what nobody takes over slows down to rest.
 //! - What is planned ends at rest. A planner that comes too late in the middle of a path finds the
-//!   axes at rest: each has slowed down by the path's acceleration on the brake that was left with
-//!   what is written. That is a fault; nothing goes on from there by itself.
+//!   axes at rest: all have slowed down together by the path's acceleration on the brake that was left
+//!   with what is written, within a step and a half of their line (see `planner/brake.rs` for what holds, and
+//!   that jerk does not). That is a fault; nothing goes on from there by itself.
 //! - What waits at a barrier begins on the tick that it is told, whenever the task is woken.
 //! - A stop ends in one place, [`Motion::stop`], from every state: at once, or on its path.
 //!
@@ -88,8 +92,8 @@ pub use driver::Driver;
 pub use encoder::Fill;
 pub use limits::TICKS_PER_US;
 pub use motion::{
-    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, LimitHit, Motion,
-    MotionConfig, MotionEvent, Outlook, PlanMemory, Plans, ShiftConfig, SoftLimits, Target,
+    Beyond, CdError, CommandError, ConfigCd, ConfigError, Course, DriveError, Gait, LimitHit,
+    Motion, MotionConfig, MotionEvent, Outlook, PlanMemory, Plans, ShiftConfig, SoftLimits, Target,
 };
 pub use profile::AxisProfile;
 pub use ring::{CommandRing, Full, Reservation};

@@ -36,9 +36,10 @@ pub const WORD_TICKS_MIN: u64 = 2 * PART_TICKS_MIN;
 /// need longer words.
 pub const LOW_WORD_TICKS_MAX: u64 = 640;
 
-/// Latest that a refill may come after its threshold when a direction changes: 50 µs. The
-/// direction pin is switched in the refill, so this much rest surrounds a turn.
-pub const TURN_LATENCY_TICKS: u64 = 50 * TICKS_PER_US;
+/// Latest that a refill may come after its threshold when a direction changes: 100 µs. The
+/// direction pin is switched in the refill, so a turn is a half block of rest that lasts as long, and
+/// the half block before it, which the last steps may leave short, does too.
+pub const TURN_LATENCY_TICKS: u64 = 100 * TICKS_PER_US;
 
 /// Least that a half block of rest lasts: 120 µs for the refill, as long as a half block of steps
 /// at 200 kHz.

@@ -71,7 +71,18 @@ impl AxisProfile {
         Self::of_driver(Driver::Dm556)
     }
 
-    /// What a driver demands: the table in [`Driver`].
+    /// Returns the shortest time from step to step, ticks: the driver's, in what the hardware can play.
+    pub fn step_ticks_min(self) -> u64 {
+        Timing::from(self).interval_ticks_min()
+    }
+
+    /// Returns the greatest speed, mHz, rounded down.
+    pub fn speed_mhz_max(self) -> u64 {
+        1_000 * TICK_HZ / self.step_ticks_min()
+    }
+
+    /// What a driver demands: the table in [`Driver`]. One that steps on the falling edge gets the same
+    /// high time at every speed.
     pub fn of_driver(driver: Driver) -> Self {
         let Needs {
             high_ns,
@@ -83,7 +94,11 @@ impl AxisProfile {
         Self {
             high_ns_min: high_ns,
             low_ns_min: low_ns,
-            high_ns: default.high_ns.max(high_ns),
+            high_ns: if driver.steps_on_falling_edge() {
+                high_ns
+            } else {
+                default.high_ns.max(high_ns)
+            },
             dir_setup_ns: setup_ns,
             dir_hold_ns: hold_ns,
             ..default
@@ -152,10 +167,12 @@ impl Timing {
     }
 
     /// Returns the rest that must surround a switch of the direction pin, ticks: the rest of a
-    /// half block, then a half block in which the refill finds nothing stepping.
+    /// half block, which may hold one step only and has to last until the next one is written; then a
+    /// half block in which the refill finds nothing stepping.
     pub(crate) fn window_ticks(&self) -> u64 {
+        let hold = self.hold_ticks.max(self.low_ticks_min);
         let half = REFILL_WORDS as u64 * WORD_TICKS_MIN;
-        self.hold_ticks.max(self.low_ticks_min) + half + self.turn_ticks()
+        (hold + half).max(TURN_LATENCY_TICKS) + self.turn_ticks()
     }
 
     /// Returns the least that the half block of a turn lasts, ticks.

@@ -154,6 +154,13 @@ impl SegmentRing {
             .sum()
     }
 
+    /// Returns whether nothing waits but steps.
+    pub(crate) fn are_steps(&self) -> bool {
+        let mut all =
+            (0..self.count).map(|index| &self.segments[(self.first + index) % SEGMENTS_MAX]);
+        all.all(|segment| matches!(segment, Segment::Steps { .. }))
+    }
+
     pub(crate) fn clear(&mut self) {
         self.count = 0;
     }

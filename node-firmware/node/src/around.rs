@@ -5,11 +5,8 @@ use crate::{
     limits::{BARRIERS_MAX, PUBLICATIONS_MAX},
     script::Publication,
 };
-use keys::{
-    AxisId, Command, LocalMicros, NodeState, StopMode, StopReason, command::Ramp,
-    start::BarrierName,
-};
-use motion::{CommandError, DriveError, StepBackend, Target};
+use keys::{AxisId, Command, LocalMicros, NodeState, StopMode, StopReason, start::BarrierName};
+use motion::{CommandError, Course, DriveError, StepBackend, Target};
 use script::{BarrierError, Full, Host, LidarReading};
 
 /// See the module.
@@ -113,9 +110,10 @@ impl<B: StepBackend, O: Outputs> Host for Around<'_, '_, B, O> {
         }
     }
 
-    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError> {
-        self.node.motion.drive(axis, target, ramp.into())?;
-        self.node.outputs.note_drive(axis, Some(ramp), self.now);
+    fn drive(&mut self, axis: AxisId, target: Target, course: Course) -> Result<(), DriveError> {
+        self.node.motion.drive(axis, target, course)?;
+        let ramp = Some(course.ramp());
+        self.node.outputs.note_drive(axis, ramp, self.now);
         Ok(())
     }
 

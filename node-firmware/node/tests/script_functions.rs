@@ -35,7 +35,7 @@ const fn case(
     }
 }
 
-const CASES: [Case; 40] = [
+const CASES: [Case; 41] = [
     case(
         "motor.queue_move",
         "motor.queue_move(0, 100, 300) motor.queue_move(1, 200, -20) wait_idle() return motor.get_position(0)",
@@ -240,6 +240,12 @@ const CASES: [Case; 40] = [
         "motor.drive_by(0, 90, 1500, 8000, {jump_steps = 5}) while motor.is_driven(0) do sleep(10) end motor.drive_by(0, -20, 1500, 8000, {linear_steps = 9, jump_steps = 4}) while motor.is_driven(0) do sleep(10) end return motor.get_position(0)",
         "70",
         [70, 0],
+    ),
+    case(
+        "motor.drive_to",
+        "motor.drive_to(0, 200, 1000, 8000, {unit = 'us', passing = 2000}) motor.drive_to(0, 400, 1000, 8000, {unit = 'us'}) while motor.is_driven(0) do sleep(10) end return motor.get_position(0)",
+        "400",
+        [400, 0],
     ),
     case(
         "motor.run",

@@ -84,9 +84,9 @@ fn a_halt_at_every_tick_knows_the_count_and_cuts_no_step() {
             ..Silicon::default()
         };
         let mut counts = std::collections::BTreeSet::new();
-        // Lead-in 32,960 ticks, then 960 + 3,360 ticks of steps with a turn between them.
+        // Lead-in 33,760 ticks, then 960 + 3,360 ticks of steps with a turn of 3,360 between them.
         let step = if prefetch_words == 1 { 1 } else { 7 };
-        for after in (31_800..39_500).step_by(step) {
+        for after in (31_800..42_500).step_by(step) {
             counts.insert(check_halt(
                 &commands,
                 Layout::FOUR.places::<2>(),
@@ -220,7 +220,7 @@ fn a_borrowed_block_that_runs_dry_ends_and_needs_no_counter_to_know_the_count() 
 
 #[test]
 fn a_direction_that_is_switched_too_late_for_its_driver_is_a_fault_and_never_a_wrong_step() {
-    // The window around a turn lasts 50 µs and the driver's setup time; the interrupt comes up to so
+    // The window around a turn lasts 100 µs and the driver's setup time; the interrupt comes up to so
     // many ticks late.
     let turned = |latest_ticks: u64| {
         let lateness = Lateness {

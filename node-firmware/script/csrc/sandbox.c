@@ -176,7 +176,7 @@ static void check_options(lua_State *L, int index, const struct sf_function *fun
   while (lua_next(L, index) != 0) {
     const char *key = lua_type(L, -2) == LUA_TSTRING ? lua_tostring(L, -2) : "?";
     if (strcmp(key, "jerk") != 0 && strcmp(key, "linear_steps") != 0 &&
-        strcmp(key, "jump_steps") != 0)
+        strcmp(key, "jump_steps") != 0 && strcmp(key, "unit") != 0 && strcmp(key, "passing") != 0)
       luaL_error(L, "%s.%s: options: unknown option '%s'", function->module, function->name, key);
     lua_pop(L, 1);
   }
@@ -224,7 +224,7 @@ static int take_args(lua_State *L, int top, const struct sf_function *function,
         break;
       case 'r':
         if (lua_isnoneornil(L, index)) {
-          for (int item = 0; item < 3; item++)
+          for (int item = 0; item < 5; item++)
             memset(&args[count++], 0, sizeof(*args));
           break;
         }
@@ -235,6 +235,8 @@ static int take_args(lua_State *L, int top, const struct sf_function *function,
         take_field(L, index, "jerk", &args[count++]);
         take_field(L, index, "linear_steps", &args[count++]);
         take_field(L, index, "jump_steps", &args[count++]);
+        take_field(L, index, "unit", &args[count++]);
+        take_field(L, index, "passing", &args[count++]);
         break;
       default:
         take_value(L, index, &args[count++]);

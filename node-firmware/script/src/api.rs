@@ -13,7 +13,7 @@ use keys::{
     command::{LINE_AXES, POSITION_C_MAX, Ramp, RampShape},
     start::{BARRIER_BYTES_MAX, BarrierName},
 };
-use motion::{Direction, DriveError, Target};
+use motion::{Course, Direction, DriveError, Target};
 
 /// What a script waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -636,13 +636,13 @@ impl Turn<'_> {
     /// Drives an axis outside the queue, once what was queued before has ended.
     fn drive(&mut self, args: &Args<'_>, target: Target) -> Result<Answer, Wrong> {
         let axis = self.axis(args)?;
-        let ramp = args.ramp()?;
+        let course = args.course()?;
         self.doings.execute(self.host);
         if self.host.executed_commands() < self.host.accepted_commands() {
             return self.wait_for(Wait::Idle);
         }
         self.doings.lives = true;
-        match self.host.drive(axis, target, ramp) {
+        match self.host.drive(axis, target, course) {
             Ok(()) => Ok(NOTHING),
             // The last step is not quite over, or it is held: nothing that lasts by itself.
             Err(DriveError::Busy) => {
@@ -723,6 +723,50 @@ impl Turn<'_> {
     }
 }
 
+/// What a speed is told in.
+#[derive(Clone, Copy)]
+enum Unit {
+    Hz,
+    MilliHz,
+    /// From step to step.
+    Us,
+    /// The same, of 62.5 ns.
+    Ticks,
+}
+
+impl Unit {
+    const ALL: [Self; 4] = [Self::Hz, Self::MilliHz, Self::Us, Self::Ticks];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Hz => "hz",
+            Self::MilliHz => "mhz",
+            Self::Us => "us",
+            Self::Ticks => "ticks",
+        }
+    }
+
+    fn course(self, value: u32, accel_hz_per_s: u32) -> Course {
+        match self {
+            Self::Hz => Course::hz(value, accel_hz_per_s),
+            Self::MilliHz => Course::mhz(value.into(), accel_hz_per_s),
+            Self::Us => Course::interval_us(value, accel_hz_per_s),
+            Self::Ticks => Course::interval_ticks(value.into(), accel_hz_per_s),
+        }
+    }
+
+    /// Returns the speed in Hz, if that is a whole number.
+    fn whole_hz(self, value: u32) -> Option<u32> {
+        let (dividend, divisor) = match self {
+            Self::Hz => return Some(value),
+            Self::MilliHz => (value, 1_000),
+            Self::Us => (1_000_000, value),
+            Self::Ticks => (1_000_000 * motion::TICKS_PER_US as u32, value),
+        };
+        dividend.is_multiple_of(divisor).then(|| dividend / divisor)
+    }
+}
+
 /// The arguments of one call.
 struct Args<'a>(&'a [Value<'a>]);
 
@@ -784,33 +828,77 @@ impl<'a> Args<'a> {
         }
     }
 
-    /// Reads speed, acceleration and the options of a ramp, which are its last five values.
+    /// Reads a ramp of the queue: speed, acceleration and options, which are its last seven values.
     fn ramp(&self) -> Result<Ramp, Wrong> {
-        let speed_hz = self.positive(2, "speed_hz")?;
-        let accel_hz_per_s = self.positive(3, "accel")?;
+        let (value, unit) = self.speed(2)?;
+        if !matches!(self.0[8], Value::Nil) {
+            return Err(
+                "options.passing: a drive can pass its target, a queued ramp rests there; \
+                        lines are joined at speed"
+                    .into(),
+            );
+        }
+        let Some(speed_hz) = unit.whole_hz(value) else {
+            return Err(format!(
+                "speed_hz: a queued ramp has whole Hz, {value} {} is none; drives take it",
+                unit.name()
+            ));
+        };
+        Ok(Ramp {
+            speed_hz,
+            accel_hz_per_s: self.positive(3, "accel")?,
+            shape: self.shape()?,
+        })
+    }
+
+    /// Reads the same of a drive.
+    fn course(&self) -> Result<Course, Wrong> {
+        let (value, unit) = self.speed(2)?;
+        let course = unit.course(value, self.positive(3, "accel")?);
+        let course = course.shaped(self.shape()?);
+        if let Value::Nil = self.0[8] {
+            return Ok(course);
+        }
+        let passing = unit.course(self.positive(8, "options.passing")?, 1);
+        Ok(course.passing_mhz(passing.speed_mhz()))
+    }
+
+    /// Reads a speed and its unit.
+    fn speed(&self, index: usize) -> Result<(u32, Unit), Wrong> {
+        let unit = match self.0[7] {
+            Value::Nil => Unit::Hz,
+            _ => {
+                let name = self.text(7, "options.unit", 5)?;
+                let known = Unit::ALL.into_iter().find(|unit| unit.name() == name);
+                known.ok_or("options.unit: \"hz\", \"mhz\", \"us\" or \"ticks\"")?
+            }
+        };
+        let name = match unit {
+            Unit::Hz => "speed_hz",
+            _ => "speed",
+        };
+        Ok((self.positive(index, name)?, unit))
+    }
+
+    fn shape(&self) -> Result<RampShape, Wrong> {
         let short = |index: usize, name: &str| match self.0[index] {
             Value::Nil => Ok(0),
             _ => Ok::<u16, Wrong>(self.whole(index, name, 0, u16::MAX.into())? as u16),
         };
         let linear_steps = short(5, "options.linear_steps")?;
         let jump_steps = short(6, "options.jump_steps")?;
-        let shape = match self.0[4] {
-            Value::Nil => RampShape::Trapezoid {
+        match self.0[4] {
+            Value::Nil => Ok(RampShape::Trapezoid {
                 linear_steps,
                 jump_steps,
-            },
+            }),
             _ if linear_steps != 0 || jump_steps != 0 => {
-                return Err("options.jerk: not together with linear_steps or jump_steps".into());
+                Err("options.jerk: not together with linear_steps or jump_steps".into())
             }
-            _ => RampShape::Jerk {
+            _ => Ok(RampShape::Jerk {
                 jerk_hz_per_s2: self.positive(4, "options.jerk")?,
-            },
-        };
-        Ok(Ramp {
-            speed_hz,
-            accel_hz_per_s,
-            shape,
-        })
+            }),
+        }
     }
 
     fn smooth_ramp(&self) -> Result<Ramp, Wrong> {

@@ -1,7 +1,7 @@
 //! What a script finds around it: the node, as far as scripts may see and move it.
 
-use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
-use motion::{CommandError, DriveError, Target};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
+use motion::{CommandError, Course, DriveError, Target};
 
 /// Why a script cannot meet others at a barrier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +84,7 @@ pub trait Host {
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
-    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError>;
+    fn drive(&mut self, axis: AxisId, target: Target, course: Course) -> Result<(), DriveError>;
     /// Brings a drive to rest by its ramp; `None`: all of them.
     fn end_drive(&mut self, axis: Option<AxisId>);
     /// Returns whether an axis is driven.

@@ -6,6 +6,7 @@ use keys::{
     AxisId, Command,
     command::{Ramp, RampShape},
 };
+use motion::{Course, Direction, Target};
 use rig::{Bench, failed, returned};
 use script::{End, LidarReading, NAMES, Step, Wait};
 
@@ -479,6 +480,88 @@ fn wrong_arguments_name_the_function_and_the_argument() {
         (
             "motor.queue_pause(0/0)",
             "motor.queue_pause: ms: a whole number from 0 to 86400000, got NaN",
+        ),
+    ] {
+        let message = failed(text);
+        assert!(message.contains(words), "{text}: {message}");
+    }
+}
+
+#[test]
+fn a_drive_takes_its_speed_in_every_unit_and_may_pass_its_target() {
+    let driven = |text: &str| {
+        let mut bench = Bench::default();
+        bench.returned(text);
+        bench.driven
+    };
+    for (text, target, course) in [
+        (
+            "motor.drive_to(0, 5, 1500, 8000)",
+            Target::To(5),
+            Course::hz(1_500, 8_000),
+        ),
+        (
+            "motor.drive_by(0, -7, 1500, 8000, {unit = 'hz'})",
+            Target::By(-7),
+            Course::hz(1_500, 8_000),
+        ),
+        (
+            "motor.drive_by(0, 5, 2500, 8, {unit = 'mhz'})",
+            Target::By(5),
+            Course::mhz(2_500, 8),
+        ),
+        (
+            "motor.run(0, -1, 125, 8000, {unit = 'us', jerk = 90})",
+            Target::Forever(Direction::Negative),
+            Course::interval_us(125, 8_000).shaped(RampShape::Jerk { jerk_hz_per_s2: 90 }),
+        ),
+        (
+            "motor.drive_to(0, 5, 1333, 8000, {unit = 'ticks', passing = 4000})",
+            Target::To(5),
+            Course::interval_ticks(1_333, 8_000).passing_mhz(4_000_000),
+        ),
+    ] {
+        assert_eq!(driven(text), [(AXIS, target, course)], "{text}");
+    }
+    // The queue has whole Hz.
+    for (unit, value) in [
+        ("mhz", 2_000_000),
+        ("us", 500),
+        ("ticks", 8_000),
+        ("hz", 2_000),
+    ] {
+        let queued = commands(&format!(
+            "motor.queue_ramp(0, 9, {value}, 50, {{unit = '{unit}'}})"
+        ));
+        let Some(Command::Ramp { ramp, .. }) = queued.first() else {
+            panic!("{unit}: {queued:?}");
+        };
+        assert_eq!(ramp.speed_hz, 2_000, "{unit}");
+    }
+    for (text, words) in [
+        (
+            "motor.queue_ramp(0, 9, 2500, 50, {unit = 'mhz'})",
+            "speed_hz: a queued ramp has whole Hz, 2500 mhz is none",
+        ),
+        (
+            "motor.queue_ramp_to(0, 9, 300, 50, {unit = 'us'})",
+            "whole Hz, 300 us is none",
+        ),
+        (
+            "motor.drive_by(0, 9, 300, 50, {unit = 'rpm'})",
+            "options.unit: \"hz\", \"mhz\", \"us\" or \"ticks\"",
+        ),
+        (
+            "motor.drive_by(0, 9, 0, 50, {unit = 'us'})",
+            "speed: a whole number from 1",
+        ),
+        (
+            "motor.queue_ramp(0, 9, 300, 50, {passing = 5})",
+            "options.passing: a drive can pass its target",
+        ),
+        (
+            "motor.drive_by(0, 9, 300, 50, {passing = 'x'})",
+            "options.passing: a whole number",
         ),
     ] {
         let message = failed(text);

@@ -1,8 +1,8 @@
 //! A script of any text: it ends or gives way in every slice, keeps to its memory, and queues no
 //! more than there is room for.
 
-use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
-use motion::{CommandError, DriveError, Target};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
+use motion::{CommandError, Course, DriveError, Target};
 use script::{BarrierError, Full, Host, LidarReading, Limits, Script, Step};
 
 /// Small limits, so that what runs away ends soon.
@@ -87,7 +87,7 @@ impl Host for Bench {
             Ok(())
         }
     }
-    fn drive(&mut self, _: AxisId, target: Target, _: Ramp) -> Result<(), DriveError> {
+    fn drive(&mut self, _: AxisId, target: Target, _: Course) -> Result<(), DriveError> {
         if target == Target::By(13) {
             Err(DriveError::Still)
         } else {

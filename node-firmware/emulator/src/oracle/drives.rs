@@ -2,14 +2,20 @@
 //!
 //! Nobody can say where such an axis ought to be at which instant: it is changed in flight, and comes to
 //! rest when nobody renews it. But while it is driven the queue rests, so all its steps of that time are
-//! the drive's; and textbook bounds them: no faster and no harder than any of its orders allows, from
-//! rest, or the jump of one of them, to rest. The queue goes on from where it ends.
+//! the drive's; and textbook bounds them: no faster and no harder than any of its orders allows, with no
+//! more jerk if they are S-curves of one acceleration and jerk, from rest, or the jump of one of them,
+//! to rest. The queue goes on from where it ends.
 
-use super::{Judge, Step, TICK_HZ};
+use super::{Judge, Step, TICK_HZ, track::scales};
 use crate::{
     kinematics::Ideal,
     record::{Driven, Life},
 };
+use keys::command::{Ramp, RampShape};
+
+/// How far an edge may be off its instant, ticks: rounding, and where a way is changed a rest that is
+/// shorter than a word of the pulse hardware.
+const EDGE_TICKS: f64 = 3.0;
 
 /// What a drive has made of an axis' position.
 #[derive(Clone, Copy, Debug)]
@@ -126,6 +132,16 @@ impl Judge<'_> {
                     return;
                 }
             }
+            if let Some((at, message)) = jerk_of(orders).and_then(|jerk| {
+                // Where it may have rested, its steps are not counted from a whole one.
+                let moving = |pair: &(Step, Step)| seconds(pair.0, pair.1) < least(0.0);
+                let pairs: Vec<_> = run.windows(2).map(|pair| (pair[0], pair[1])).collect();
+                let mut parts = pairs.chunk_by(|a, b| moving(a) && moving(b));
+                parts.find_map(|part| too_jerky(part, jerk))
+            }) {
+                self.wrong(at, format!("axis {axis} is driven by {message}"));
+                return;
+            }
             let slack = 3.0 / TICK_HZ as f64;
             let is_last = number + 1 == runs.len();
             let rests = [
@@ -143,6 +159,58 @@ impl Judge<'_> {
             }
         }
     }
+}
+
+/// The jerk that all of these orders keep, steps/s³: with other limits an acceleration that was begun by
+/// one may have to end by another's.
+fn jerk_of(orders: &[Ramp]) -> Option<f64> {
+    let limits = |order: &Ramp| match order.shape {
+        RampShape::Jerk { jerk_hz_per_s2 } => Some((order.accel_hz_per_s, jerk_hz_per_s2)),
+        RampShape::Trapezoid { .. } | RampShape::Smooth { .. } => None,
+    };
+    let first = limits(orders.first()?)?;
+    let same = orders.iter().all(|order| limits(order) == Some(first));
+    same.then_some(f64::from(first.1))
+}
+
+/// Where these steps, each with the next one, have more than this jerk: a divided difference of four
+/// instants is a mean of it.
+fn too_jerky(part: &[(Step, Step)], jerk: f64) -> Option<(u64, String)> {
+    let (first, last) = (part.first()?, part.last()?);
+    let steps: Vec<Step> = part.iter().map(|pair| pair.0).chain([last.1]).collect();
+    let off_s = EDGE_TICKS / TICK_HZ as f64;
+    let at_s = |index: usize| seconds(first.0, steps[index]);
+    scales(steps.len(), 3).find_map(|(index, scale)| {
+        let times = [0, 1, 2, 3].map(|number| at_s(index + number * scale));
+        let count = scale as f64;
+        let speed = |from: usize| {
+            let span = times[from + 1] - times[from];
+            (
+                count / span,
+                count / span * 2.0 * off_s / (span - 2.0 * off_s).max(1e-9),
+            )
+        };
+        let accel = |from: usize| {
+            let (before, behind) = (speed(from), speed(from + 1));
+            let half = (times[from + 2] - times[from]) / 2.0;
+            let accel = (behind.0 - before.0) / half;
+            (
+                accel,
+                (before.1 + behind.1) / half + accel.abs() * off_s / half,
+            )
+        };
+        let (before, behind) = (accel(0), accel(1));
+        let third = (times[3] - times[0]) / 3.0;
+        let found = (behind.0 - before.0) / third;
+        let slack = (before.1 + behind.1) / third;
+        (found.abs() > jerk * (1.0 + 1e-6) + slack).then(|| {
+            let message = format!(
+                "{found:.0} steps/s³ over {} steps, {jerk} were allowed",
+                3 * scale
+            );
+            (steps[index + 3 * scale].at, message)
+        })
+    })
 }
 
 fn seconds(from: Step, to: Step) -> f64 {

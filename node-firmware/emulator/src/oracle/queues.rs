@@ -411,7 +411,13 @@ impl Judge<'_> {
         let turning = |(axis, sign): (usize, i64)| (sign != self.axes[axis].sign).then_some(axis);
         let (mut added, mut confirmed) = (0, true);
         for axis in signs.by_ref().filter_map(turning) {
-            added = self.limits.turn_ticks_max;
+            let seen = &self.axes[axis];
+            let last = seen.used.checked_sub(1).map(|index| seen.steps[index].at);
+            // What of a turn's rest has not passed by then; before its first step it has.
+            let missing = last.map_or(0.0, |last| {
+                self.limits.turn_ticks_max as f64 - (anchor.due.low - last as f64).max(0.0)
+            });
+            added = added.max(missing.max(0.0).ceil() as u64);
             // Nobody knows when the register confirms it.
             confirmed &= !self.external.get(axis).copied().unwrap_or(false);
         }

@@ -198,8 +198,10 @@ mod tests {
             }
             let lost = 2_000_000 * u64::from(stop_accel_hz_per_s);
             let mut speed = 1_000 * TICK_HZ / interval_ticks;
+            let mut square = speed * speed;
             for (steps, pair) in edges.windows(2).enumerate() {
-                let slower = (speed * speed - lost).isqrt();
+                square -= lost;
+                let slower = square.isqrt();
                 let expected = 2_000 * TICK_HZ / (speed + slower);
                 assert_eq!(
                     pair[1] - pair[0],

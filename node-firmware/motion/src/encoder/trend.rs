@@ -11,7 +11,7 @@ const TWICE: u64 = 2_000 * TICK_HZ;
 pub(super) fn slower_step(speed_mhz: u64, square: u64, lost: u64) -> (u64, u64) {
     match u32::try_from(speed_mhz) {
         Ok(speed) if is_quick(speed, lost) => {
-            let (slower, interval) = slower(speed, lost);
+            let (slower, interval) = slower(speed, square, lost);
             (u64::from(slower), u64::from(interval))
         }
         _ => {
@@ -74,10 +74,10 @@ const SLOWER_BITS: u32 = 10;
 /// Slower than 2 kHz its numbers need more than 64 bits, and a step more than a word.
 const SLOWER_MHZ_MIN: u32 = 1 << 21;
 
-/// Returns ⌊√(speed² - lost)⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a
-/// division of more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in
-/// mHz, from [`SLOWER_MHZ_MIN`].
-fn slower(speed: u32, lost: u64) -> (u32, u32) {
+/// Returns ⌊√square⌋ and ⌊2000 · ticks of a second / the sum of both speeds⌋, without a division of
+/// more than 32 bits: both are near to what the speed's reciprocal gives. Speeds in mHz, from
+/// [`SLOWER_MHZ_MIN`]; `square` is `lost` less than the speed's, whose root may be rounded down.
+fn slower(speed: u32, square: u64, lost: u64) -> (u32, u32) {
     let shift = speed.leading_zeros();
     let divisor = u64::from(speed << shift);
     let short = u64::from(u32::MAX / (divisor >> 16) as u32);
@@ -89,7 +89,6 @@ fn slower(speed: u32, lost: u64) -> (u32, u32) {
     let over_twice = |value: u64| (((value << shift) >> 32) * inverse) >> 32;
     let first = over_twice(lost);
     let mut slower = u64::from(speed) - first - over_twice(first * first);
-    let square = u64::from(speed) * u64::from(speed) - lost;
     while slower * slower > square {
         slower -= 1;
     }
@@ -110,7 +109,8 @@ fn slower(speed: u32, lost: u64) -> (u32, u32) {
 /// How speed and interval went on in the steps before: what they foretell is exact or next to it.
 ///
 /// While each step loses as much of the speed as the one before, all there is to know of the next one
-/// follows by additions: what the speeds' squares and the interval leave over changes evenly.
+/// follows by additions: what the exact square has more than the rounded speed's changes by ever 2·loss²
+/// less, and what the interval leaves over evenly.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trend {
     /// Steps that it has seen, up to 2: enough for a trend.
@@ -123,8 +123,11 @@ pub(super) struct Trend {
     longer: u32,
     /// The sum of the last step's speeds, mHz.
     sum: u32,
-    /// What it left of the squares' difference: to be lost and not lost.
-    left: u32,
+    /// What the exact square has more than that of the speed behind the last step, mHz²: up to twice that
+    /// speed.
+    over: u32,
+    /// By how much that became more in the last step, modulo 2³².
+    gain: u32,
     /// What its interval times that sum left of [`TWICE`].
     rest: u32,
 }
@@ -135,8 +138,9 @@ const TREND_MISS_MAX: u32 = 4;
 /// A step that loses more than this is computed by itself: squares of it have more than 32 bits.
 const GLIDE_LOSS_MAX: u32 = 1 << 15;
 
-/// So are steps of faster speeds: 1 MHz.
-const GLIDE_SUM_MAX: u32 = 1 << 31;
+/// So are steps of faster speeds, 537 kHz: what is less than nothing by up to the squares of a loss and
+/// twice the speed has to be told, modulo 2³², from what is up to twice the speed.
+const GLIDE_SUM_MAX: u32 = 1 << 30;
 
 impl Trend {
     pub(super) const NONE: Self = Self {
@@ -146,16 +150,17 @@ impl Trend {
         interval: 0,
         longer: 0,
         sum: 0,
-        left: 0,
+        over: 0,
+        gain: 0,
         rest: 0,
     };
 
-    /// Writes steps from a speed (mHz) on, which it lowers, as long as there is room for them. The
-    /// limits are what the square of the speed loses in each, from what speed on they are quick to
+    /// Writes steps from a speed (mHz) and its exact square on, which it lowers, as long as there is room
+    /// for them. The limits are what the square loses in each, from what speed on they are quick to
     /// compute, and how long they may be. Returns how many there are and how long they last.
     pub(super) fn run(
         &mut self,
-        speed: &mut u32,
+        (speed, square): (&mut u32, &mut u64),
         (lost, speed_min, ticks_max): (u64, u32, u32),
         words: &mut [Symbol],
         word: impl Fn(u32) -> Symbol,
@@ -163,15 +168,20 @@ impl Trend {
         let (mut made, mut ticks) = (0, 0);
         while made < words.len() && *speed >= speed_min {
             let (more, longer) = self.glide(speed, speed_min, ticks_max, &mut words[made..], &word);
-            made += more;
-            ticks += longer;
+            if more > 0 {
+                made += more;
+                ticks += longer;
+                *square = u64::from(*speed) * u64::from(*speed) + u64::from(self.over);
+            }
             if made == words.len() || *speed < speed_min {
                 break;
             }
-            let (slower, interval) = self.next(*speed, lost);
+            let left = *square - lost;
+            let (slower, interval) = self.next(*speed, left, lost);
             if interval > ticks_max {
                 break;
             }
+            *square = left;
             words[made] = word(interval);
             made += 1;
             ticks += interval;
@@ -194,13 +204,14 @@ impl Trend {
         if !known || self.interval > ticks_max {
             return (0, 0);
         }
-        // The sum of the speeds falls by this, and what is left of the squares by that.
+        // The sum of the speeds falls by this, and the gain by that.
         let narrower = 2 * self.loss;
         let fall = narrower * self.loss;
         let Self {
             mut interval,
             mut sum,
-            mut left,
+            mut over,
+            mut gain,
             mut rest,
             ..
         } = *self;
@@ -209,7 +220,10 @@ impl Trend {
         let mut symbol = word(interval);
         let (mut made, mut ticks) = (0, 0);
         for out in words {
-            if left < fall || now < speed_min {
+            let next_gain = gain.wrapping_sub(fall);
+            // Less than nothing is a great number, see [`GLIDE_SUM_MAX`].
+            let next_over = over.wrapping_add(next_gain);
+            if now < speed_min || next_over > 2 * (now - self.loss) {
                 break;
             }
             let (next_sum, mut next_rest) = (sum - narrower, rest + wider);
@@ -227,14 +241,15 @@ impl Trend {
                 symbol = word(interval);
             }
             (sum, rest) = (next_sum, next_rest);
-            left -= fall;
+            (over, gain) = (next_over, next_gain);
             now -= self.loss;
             ticks += interval;
             made += 1;
             *out = symbol;
         }
         if made > 0 {
-            (self.interval, self.sum, self.left, self.rest) = (interval, sum, left, rest);
+            (self.interval, self.sum, self.rest) = (interval, sum, rest);
+            (self.over, self.gain) = (over, gain);
             (self.growth, self.longer) = (0, 0);
             *speed = now;
         }
@@ -242,12 +257,12 @@ impl Trend {
     }
 
     /// Returns the same as [`slower`]: what is foretold is put right.
-    fn next(&mut self, speed: u32, lost: u64) -> (u32, u32) {
+    fn next(&mut self, speed: u32, square: u64, lost: u64) -> (u32, u32) {
         let foretold = match self.seen {
-            2 => self.foretell(speed, lost),
+            2 => self.foretell(speed, square),
             _ => None,
         };
-        let (slower, interval) = foretold.unwrap_or_else(|| slower(speed, lost));
+        let (slower, interval) = foretold.unwrap_or_else(|| slower(speed, square, lost));
         let loss = speed - slower;
         self.growth = loss.saturating_sub(self.loss);
         self.longer = interval.saturating_sub(self.interval);
@@ -256,19 +271,18 @@ impl Trend {
         // Faster than 1 MHz it does not fit, and is not asked for.
         self.sum = speed.saturating_add(slower);
         let sum = u64::from(self.sum);
-        self.left = (u64::from(loss) * sum).wrapping_sub(lost) as u32;
+        let own = u64::from(slower) * u64::from(slower);
+        self.over = (square - own) as u32;
+        self.gain = (u64::from(loss) * sum).wrapping_sub(lost) as u32;
         self.rest = TWICE.wrapping_sub(u64::from(interval) * sum) as u32;
         (slower, interval)
     }
 
     #[inline(always)]
-    fn foretell(&self, speed: u32, lost: u64) -> Option<(u32, u32)> {
-        let loss = self.loss + self.growth;
-        let mut slower = speed.checked_sub(loss)?;
-        // Both below 2³¹: faster than 2 MHz nothing is.
-        let sum = speed.checked_add(slower)?;
-        // speed² - lost - slower² is to be from 0 to 2·slower; loss and sum are their difference and sum.
-        let mut left = (u64::from(loss) * u64::from(sum)).wrapping_sub(lost) as i64;
+    fn foretell(&self, speed: u32, square: u64) -> Option<(u32, u32)> {
+        let mut slower = speed.checked_sub(self.loss + self.growth)?;
+        // square - slower² is to be from 0 to 2·slower.
+        let mut left = square.wrapping_sub(u64::from(slower) * u64::from(slower)) as i64;
         let mut misses = 0;
         while left < 0 {
             left += 2 * i64::from(slower) - 1;
@@ -286,6 +300,7 @@ impl Trend {
                 return None;
             }
         }
+        // Both below 2³¹: faster than 2 MHz nothing is.
         let sum = speed.checked_add(slower)?;
         // What the interval leaves of the dividend is to be from 0 to below the divisor.
         let mut interval = self.interval + self.longer;
@@ -322,15 +337,17 @@ mod tests {
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
             let mut speed = ((state >> 20) as u32 >> (case % 11)) | SLOWER_MHZ_MIN;
-            let square = u64::from(speed) * u64::from(speed);
+            let mut square = u64::from(speed) * u64::from(speed);
             let lost = (square >> SLOWER_BITS >> (case % 23)).max(1);
             let mut trend = Trend::NONE;
             for _ in 0..200 {
                 if !is_quick(speed, lost) {
                     break;
                 }
-                let step = trend.next(speed, lost);
-                assert_eq!(step, slower(speed, lost), "{speed} {lost}");
+                square -= lost;
+                let step = trend.next(speed, square, lost);
+                assert_eq!(step, slower(speed, square, lost), "{speed} {lost}");
+                assert_eq!(u64::from(step.0), square.isqrt(), "{speed} {lost}");
                 speed = step.0;
             }
         }
@@ -345,26 +362,30 @@ mod tests {
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
             let mut speed = ((state >> 20) as u32 >> (case % 11)) | SLOWER_MHZ_MIN;
-            let square = u64::from(speed) * u64::from(speed);
+            let mut square = u64::from(speed) * u64::from(speed);
             let lost = (square >> SLOWER_BITS >> (case % 23)).max(1);
             let limits = (lost, quick_mhz_min(lost), 640);
             let mut trend = Trend::NONE;
-            let mut alone = speed;
+            let (mut alone, mut exact) = (speed, square);
             for _ in 0..40 {
                 let mut words = [Symbol::END; 24];
                 let before = trend.seen;
-                let (made, ticks) = trend.run(&mut speed, limits, &mut words, Symbol);
+                let (made, ticks) =
+                    trend.run((&mut speed, &mut square), limits, &mut words, Symbol);
                 let mut sum = 0;
                 for word in &words[..made] {
-                    let (slower, interval) = slower(alone, lost);
+                    exact -= lost;
+                    let (slower, interval) = slower(alone, exact, lost);
                     assert_eq!(word.0, interval, "{alone} {lost}");
+                    assert_eq!(u64::from(slower), exact.isqrt(), "{alone} {lost}");
                     sum += interval;
                     glided += u32::from(before == 2 && slower + trend.loss == alone);
                     alone = slower;
                 }
-                assert_eq!((speed, ticks), (alone, sum), "{lost}");
+                assert_eq!((speed, square, ticks), (alone, exact, sum), "{lost}");
                 if made < words.len() {
-                    assert!(!is_quick(alone, lost) || slower(alone, lost).1 > 640);
+                    let late = is_quick(alone, lost) && slower(alone, exact - lost, lost).1 <= 640;
+                    assert!(!late, "{alone} {lost}");
                     break;
                 }
             }
@@ -406,9 +427,11 @@ mod tests {
                 _ => next(1 + case % 52),
             };
             let lost = lost.min(square >> SLOWER_BITS);
+            // The speed is the root of its square, rounded down.
+            let square = square + next(32) % (2 * u64::from(speed) + 1);
             let root = (square - lost).isqrt();
             let interval = 2_000 * TICK_HZ / (u64::from(speed) + root);
-            let found = slower(speed, lost);
+            let found = slower(speed, square - lost, lost);
             assert_eq!(found, (root as u32, interval as u32), "{speed} {lost}");
             let found = slower_step(u64::from(speed), square - lost, lost);
             assert_eq!(found, (root, interval), "{speed} {lost}");

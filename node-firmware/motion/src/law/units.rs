@@ -25,6 +25,11 @@ pub fn accel_from_hz_per_s(accel_hz_per_s: u32) -> Real {
     speed_from_hz(accel_hz_per_s) / Real::of(TICK_HZ)
 }
 
+/// Returns an acceleration in steps/s², rounded; the greatest number if it is more.
+pub fn hz_per_s_from_accel(accel: Real) -> i64 {
+    (accel * Real::of(TICK_HZ) * Real::of(TICK_HZ)).rounded()
+}
+
 /// Jerk, steps per tick³.
 pub fn jerk_from_hz_per_s2(jerk_hz_per_s2: u32) -> Real {
     accel_from_hz_per_s(jerk_hz_per_s2) / Real::of(TICK_HZ)

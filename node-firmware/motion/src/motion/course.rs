@@ -5,7 +5,7 @@ use crate::{
     Direction,
     io::input::Switch,
     law::{Law, speed_from_hz, speed_from_interval, speed_from_mhz},
-    limits::TICKS_PER_US,
+    limits::{TICK_HZ, TICKS_PER_US},
     real::Real,
 };
 use keys::command::{Ramp, RampShape};
@@ -27,6 +27,8 @@ pub struct Course {
     pub(super) speed: Real,
     accel_hz_per_s: u32,
     pub(super) shape: RampShape,
+    /// Speed at the target; 0: it rests there.
+    passing: Real,
 }
 
 impl Course {
@@ -72,6 +74,65 @@ impl Course {
                 linear_steps: 0,
                 jump_steps: 0,
             },
+            passing: Real::ZERO,
+        }
+    }
+
+    /// Passes the target at this speed, mHz, instead of resting on it: no faster than its own speed,
+    /// and slower where the way is too short to reach that. Behind the target it comes to rest by its
+    /// ramp at once, unless another order takes it on from there. A target that is too near to slow
+    /// down to this speed is passed on the way back. Where it could not come to rest before a soft
+    /// limit, it rests on the target; a smoothstep always does.
+    #[must_use]
+    pub fn passing_mhz(self, speed_mhz: u64) -> Self {
+        Self {
+            passing: speed_from_mhz(speed_mhz),
+            ..self
+        }
+    }
+
+    /// Returns the speed at the target, steps a tick; 0: it rests there.
+    pub(super) fn passing(&self) -> Real {
+        match self.shape {
+            RampShape::Smooth { .. } => Real::ZERO,
+            RampShape::Trapezoid { .. } | RampShape::Jerk { .. } => self.passing.min(self.speed),
+        }
+    }
+
+    /// The same, but at rest on the target.
+    pub(super) fn resting(self) -> Self {
+        Self {
+            passing: Real::ZERO,
+            ..self
+        }
+    }
+
+    /// Returns its speed, mHz, rounded.
+    pub fn speed_mhz(&self) -> u64 {
+        let speed_mhz = (self.speed * Real::of(1_000 * TICK_HZ)).rounded();
+        u64::try_from(speed_mhz).unwrap_or(0)
+    }
+
+    /// Returns the time from step to step at its speed, ticks, rounded; 0 if it has no speed.
+    pub fn step_ticks(&self) -> u64 {
+        if self.speed.is_none() {
+            return 0;
+        }
+        u64::try_from((Real::of(1) / self.speed).rounded()).unwrap_or(u64::MAX)
+    }
+
+    /// Returns its acceleration, steps/s².
+    pub fn accel_hz_per_s(&self) -> u32 {
+        self.accel_hz_per_s
+    }
+
+    /// Returns the ramp that a job would call it, with its speed rounded up to whole Hz.
+    pub fn ramp(&self) -> Ramp {
+        let speed_hz = self.speed_mhz().div_ceil(1_000);
+        Ramp {
+            speed_hz: u32::try_from(speed_hz).unwrap_or(u32::MAX),
+            accel_hz_per_s: self.accel_hz_per_s,
+            shape: self.shape,
         }
     }
 

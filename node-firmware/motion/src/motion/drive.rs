@@ -6,47 +6,82 @@
 //! begins, changes and ends alone, on the timeline that all of them share.
 
 use super::{
-    CHANGE_AGAIN_TICKS, CommandError, Hold, Motion, MotionEvent, Phase,
+    CommandError, Hold, Motion, Phase,
     course::{Course, DriveError, Target},
-    rest_from,
 };
 use crate::{
     Direction, StepBackend, Ticks,
-    law::Law,
     limits::{CHANNELS, TICK_HZ},
     lookahead::Line,
-    planner::{Left, Planner, Split, WAY_STEPS_MAX},
+    planner::WAY_STEPS_MAX,
     real::Real,
 };
-use keys::{AxisId, StopMode, command::RampShape};
+use keys::{AxisId, StopMode};
 
 /// One axis that is driven.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
     /// Where it goes; `None`: it comes to rest.
-    leg: Option<Leg>,
+    pub(super) leg: Option<Leg>,
     /// Its way does not lead there yet.
-    due: bool,
+    pub(super) due: bool,
     /// It rests at this time, and turns then by the shift register.
-    turns_at: Option<Ticks>,
+    pub(super) turns_at: Option<Ticks>,
+}
+
+impl Drive {
+    pub(super) fn leg(&self) -> Option<&Leg> {
+        self.leg.as_ref()
+    }
+
+    /// Returns whether it turns where it comes to rest.
+    pub(super) fn turns_later(&self) -> bool {
+        self.turns_at.is_some()
+    }
 }
 
 /// A way to a place.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leg {
     /// Target, steps since boot.
-    to_steps: i64,
-    how: Course,
+    pub(super) to_steps: i64,
+    pub(super) how: Course,
+    /// Which way it goes past its target, once that is planned; 0: not yet, or it rests there.
+    toward: i64,
+}
+
+/// Returns whether a target is none: on and on.
+pub(super) const fn is_endless_at(to_steps: i64) -> bool {
+    matches!(to_steps, i64::MIN | i64::MAX)
 }
 
 impl Leg {
     /// Steps from a place, no more than a way may have.
-    fn from(&self, from_steps: i64) -> i64 {
+    pub(super) fn from(&self, from_steps: i64) -> i64 {
         let way = i128::from(self.to_steps) - i128::from(from_steps);
         way.clamp(-WAY_STEPS_MAX, WAY_STEPS_MAX) as i64
     }
 
-    fn line(&self, axis: usize, way: i64) -> Line {
+    /// It goes past its target this way.
+    pub(super) fn goes_past(&mut self, sign: i64) {
+        self.toward = sign;
+    }
+
+    /// Returns whether it is past its target at this place: what is changed then changes its rest only.
+    pub(super) fn has_passed(&self, at_steps: i64) -> bool {
+        let beyond = i128::from(at_steps) - i128::from(self.to_steps);
+        self.toward != 0 && i128::from(self.toward) * beyond >= 0
+    }
+
+    /// Returns the speed at the target, steps a tick; 0: it rests there, or goes on and on.
+    pub(super) fn passing(&self) -> Real {
+        match is_endless_at(self.to_steps) {
+            true => Real::ZERO,
+            false => self.how.passing(),
+        }
+    }
+
+    pub(super) fn line(&self, axis: usize, way: i64) -> Line {
         let mut steps = [0; CHANNELS];
         steps[axis] = way;
         Line {
@@ -59,9 +94,9 @@ impl Leg {
 impl<B: StepBackend> Motion<'_, B> {
     /// Moves one axis outside the queue, or changes such a move in flight: its speed, acceleration
     /// and target, without a stop where physics allows. Several axes can be driven at a time, each
-    /// by itself. [`MotionEvent::DriveEnded`] tells that it rests. The queue waits meanwhile. Soft
+    /// by itself. [`MotionEvent::DriveEnded`](crate::MotionEvent::DriveEnded) tells that it rests. The queue waits meanwhile. Soft
     /// limits hold it inside: it comes to rest on them. One that runs into a limit switch is told of
-    /// ([`MotionEvent::Limit`]); one that rests on it may only leave it.
+    /// ([`MotionEvent::Limit`](crate::MotionEvent::Limit)); one that rests on it may only leave it.
     ///
     /// # Errors
     /// [`DriveError`]; nothing has happened.
@@ -75,6 +110,10 @@ impl<B: StepBackend> Motion<'_, B> {
         let to_steps = self.target_of(axis, target);
         let index = usize::from(axis.0);
         let to_steps = self.held_inside(index, to_steps);
+        let how = match self.rests_inside(index, to_steps, &how) {
+            true => how,
+            false => how.resting(),
+        };
         // One that moves already is watched where it goes.
         let way = Direction::of(to_steps.saturating_sub(self.planned_steps[index]));
         let rests = to_steps == self.planned_steps[index];
@@ -122,7 +161,7 @@ impl<B: StepBackend> Motion<'_, B> {
     pub fn is_endless(&self, axis: AxisId) -> bool {
         let drive = self.drives.get(usize::from(axis.0)).copied().flatten();
         let leg = drive.and_then(|drive| drive.leg);
-        leg.is_some_and(|leg| matches!(leg.to_steps, i64::MIN | i64::MAX))
+        leg.is_some_and(|leg| is_endless_at(leg.to_steps))
     }
 
     /// Where a target is, steps since boot.
@@ -134,6 +173,18 @@ impl<B: StepBackend> Motion<'_, B> {
             Target::Forever(Direction::Positive) => i64::MAX,
             Target::Forever(Direction::Negative) => i64::MIN,
         }
+    }
+
+    /// Returns whether an axis that passes a place comes to rest before its soft limits.
+    fn rests_inside(&self, index: usize, to_steps: i64, how: &Course) -> bool {
+        let speed = how.passing();
+        if speed.is_none() || how.check(0).is_err() {
+            return true;
+        }
+        let way = how.law().way(Real::ZERO, speed).rounded().saturating_add(1);
+        [to_steps.saturating_add(way), to_steps.saturating_sub(way)]
+            .into_iter()
+            .all(|place| self.held_inside(index, place) == place)
     }
 
     /// The same without regard to soft limits; the axis exists.
@@ -151,7 +202,11 @@ impl<B: StepBackend> Motion<'_, B> {
             return Err(DriveError::Busy);
         }
         self.drives[index] = Some(Drive {
-            leg: Some(Leg { to_steps, how }),
+            leg: Some(Leg {
+                to_steps,
+                how,
+                toward: 0,
+            }),
             due: true,
             turns_at: None,
         });
@@ -261,247 +316,6 @@ impl<B: StepBackend> Motion<'_, B> {
             held.saturating_add(axis.steps_to_rest())
         });
         ways.max().unwrap_or(0)
-    }
-
-    /// All drives come to rest; nothing of them goes on.
-    pub(super) fn rest_drives(&mut self) {
-        for drive in self.drives.iter_mut().flatten() {
-            drive.leg = None;
-            drive.due = true;
-        }
-        self.pass_drives();
-    }
-
-    /// Hold, resumption or another speed: every way is made anew.
-    pub(super) fn change_drives(&mut self) {
-        for drive in self.drives.iter_mut().flatten() {
-            drive.due |= drive.leg.is_some();
-        }
-        self.pass_drives();
-    }
-
-    /// Leads the ways of all axes where they are to go, as far as that can be done now.
-    pub(super) fn pass_drives(&mut self) {
-        if !matches!(self.phase, Phase::Playing { .. } | Phase::Decelerating) {
-            return;
-        }
-        for index in 0..self.axis_count {
-            let is_due =
-                |drive: &Drive| drive.due && drive.turns_at.is_none_or(|at| at <= self.now);
-            if let Some(drive) = self.drives[index].filter(is_due) {
-                self.change_way(index, drive);
-            }
-        }
-        self.note_ways();
-    }
-
-    /// The timeline ends with the last way.
-    fn note_ways(&mut self) {
-        if let Phase::Playing { .. } = self.phase
-            && let Some(end) = self.planner.ways_end()
-        {
-            self.phase = Phase::Playing {
-                timeline: Ticks(end),
-            };
-        }
-    }
-
-    fn change_way(&mut self, index: usize, drive: Drive) {
-        let started_at = self.started_at.0;
-        let axes = &mut self.backend.axes()[..self.axis_count];
-        let axis = &mut axes[index];
-        if !self.planner.can_change_way(index, axis, started_at) {
-            return;
-        }
-        self.planner.set_share(self.share);
-        let leg = drive.leg.filter(|_| !self.rests_on_path());
-        let axes = &mut self.backend.axes()[..self.axis_count];
-        let left = self.planner.leave_way(index, &mut axes[index], started_at);
-        self.set_due(index, false, None);
-        match (left, leg) {
-            (Left::Resting { at, base_steps }, leg) => {
-                if let Some(base_steps) = base_steps {
-                    self.planned_steps[index] = base_steps;
-                }
-                let Some(leg) = leg else { return };
-                if !self.turn(index, leg.from(self.planned_steps[index])) {
-                    self.set_due(index, true, None);
-                    return;
-                }
-                // Time for the direction pin, if it has just been confirmed.
-                let settled = self.now.0 + self.timing[index].turn_ticks();
-                let waits = self.turns.is_external(index);
-                self.begin_leg(index, leg, if waits { at.max(settled) } else { at });
-            }
-            (Left::Moving { split, .. }, None) => {
-                self.slow_down(index, split);
-            }
-            (Left::Moving { split, reach_steps }, Some(leg)) => {
-                self.turn_to(index, split, reach_steps, leg);
-            }
-        }
-    }
-
-    /// What is held is due again when it goes on.
-    fn set_due(&mut self, index: usize, due: bool, turns_at: Option<Ticks>) {
-        if let Some(drive) = self.drives[index].as_mut() {
-            drive.due = due;
-            drive.turns_at = turns_at;
-        }
-    }
-
-    /// Goes on with another leg; turns first if it has to. `reach_steps` is how far it would have
-    /// gone so far.
-    ///
-    /// It slows down by the new ramp, unless that led farther than it has ever been sent: beyond
-    /// a soft limit, for one. Then it slows down by whichever ramp needs less way.
-    fn turn_to(&mut self, index: usize, mut split: Split, reach_steps: i64, leg: Leg) {
-        let mut law = leg.how.law().after(&split.line.law);
-        let sign = split.line.steps[index].signum();
-        let way = i128::from(sign) * i128::from(leg.from(split.base_steps[index]));
-        let way = way as i64;
-        // Rounding in the last bits is no lack of way.
-        let least_by = |law: &Law| Planner::least_way(&split, law) - Real::of(1).shifted(-20);
-        let mut least = least_by(&law);
-        let sent = way.max(reach_steps.saturating_mul(sign));
-        if least > Real::of_signed(sent) {
-            let before = least_by(&split.line.law);
-            if before < least {
-                (law, least) = (split.line.law, before);
-            }
-        }
-        split.line.law = law;
-        if Real::of_signed(way) < least {
-            let end = self.slow_down(index, split);
-            let way = leg.from(self.planned_steps[index]);
-            if self.turns.must_turn(index, way) {
-                self.set_due(index, true, Some(Ticks(end)));
-            } else {
-                self.begin_leg(index, leg, end);
-            }
-            return;
-        }
-        split.line.major_steps = way.unsigned_abs();
-        split.line.steps[index] = way * sign;
-        split.line.speed_max = leg.how.speed;
-        let axes = &self.backend.axes()[..self.axis_count];
-        self.planner.go_on_way(index, split, false, axes);
-        self.planned_steps[index] = split.base_steps[index] + way * sign;
-    }
-
-    /// Comes to rest, wherever that is: on the step whose edge was passed last. Returns when.
-    fn slow_down(&mut self, index: usize, split: Split) -> u64 {
-        let axes = &self.backend.axes()[..self.axis_count];
-        let (end, made) = self.planner.go_on_way(index, split, true, axes);
-        self.planned_steps[index] = split.base_steps[index] + made;
-        end
-    }
-
-    /// Begins a leg from rest at `begin`.
-    fn begin_leg(&mut self, index: usize, leg: Leg, begin: u64) {
-        let base_steps = self.planned_steps[index];
-        let way = leg.from(base_steps);
-        if way == 0 {
-            return;
-        }
-        let jump_steps = match leg.how.shape {
-            RampShape::Trapezoid { jump_steps, .. } => jump_steps,
-            RampShape::Jerk { .. } | RampShape::Smooth { .. } => 0,
-        };
-        let axes = &self.backend.axes()[..self.axis_count];
-        let line = leg.line(index, way);
-        self.planner
-            .begin_way(index, line, jump_steps, begin, base_steps, axes);
-        self.planned_steps[index] = base_steps + way;
-    }
-
-    /// Writes as much of the ways as fits. From rest it begins with those that are due; returns when
-    /// the channels are to be started for that.
-    pub(super) fn plan_drives(&mut self, lead_ticks: u64) -> Option<Ticks> {
-        let mut starts_at = None;
-        self.pass_drives();
-        if self.phase == Phase::Rest && self.begins_drive() {
-            if !self.are_enabled(crate::io::enable::AxisSet::QUEUE, lead_ticks) {
-                return None;
-            }
-            let mut turned = true;
-            for index in 0..self.axis_count {
-                let leg = self.drives[index].filter(|drive| drive.due);
-                if let Some(leg) = leg.and_then(|drive| drive.leg) {
-                    turned &= self.turn(index, leg.from(self.planned_steps[index]));
-                }
-            }
-            if !turned {
-                self.waits_enable = true;
-                return None;
-            }
-            let at = self.now.max(self.quiet_at);
-            let begin = at.plus(lead_ticks);
-            self.planner.set_share(self.share);
-            self.planner.begin_ways(begin.0);
-            for index in 0..self.axis_count {
-                if let Some(drive) = self.drives[index].as_mut() {
-                    drive.due = false;
-                    if let Some(leg) = drive.leg {
-                        self.begin_leg(index, leg, begin.0);
-                    }
-                }
-            }
-            let timeline = Ticks(self.planner.ways_end()?);
-            self.phase = Phase::Playing { timeline };
-            starts_at = Some(at);
-        }
-        if self.phase != Phase::Rest
-            && let Some(end) = self.planner.ways_end()
-        {
-            let started_at = self.started_at.0;
-            let axes = &mut self.backend.axes()[..self.axis_count];
-            if starts_at.is_none() {
-                self.planner.retire_ways(axes, started_at);
-            }
-            self.planner.write_ways(axes, end, started_at);
-        }
-        starts_at
-    }
-
-    /// Tells that a drive rests.
-    pub(super) fn pass_drive(&mut self) -> Option<MotionEvent> {
-        let rests = self.phase == Phase::Rest;
-        // The last one ends when the channels rest.
-        let others = self.drives.iter().flatten().count() > 1;
-        let over = |index: usize| {
-            self.planner
-                .way_end(index)
-                .is_none_or(|end| rest_from(Ticks(end)) <= self.now)
-        };
-        let ended = (0..self.axis_count).find(|&index| {
-            self.drives[index].is_some_and(|drive| !drive.due && (rests || (others && over(index))))
-        });
-        let index = ended?;
-        self.drives[index] = None;
-        let axis = AxisId(index as u8);
-        (!self.pass_homing_drive()).then_some(MotionEvent::DriveEnded { axis })
-    }
-
-    /// Returns whether a drive is to begin from rest.
-    pub(super) fn begins_drive(&self) -> bool {
-        let goes = |drive: &Drive| drive.due && drive.leg.is_some();
-        matches!(self.hold, Hold::None) && self.drives.iter().flatten().any(goes)
-    }
-
-    /// Returns when the next drive of several rests.
-    pub(super) fn drives_timeout(&self) -> Option<Ticks> {
-        let waits = self.drives.iter().flatten().any(|drive| drive.due);
-        if waits && self.phase != Phase::Rest {
-            return Some(self.now.plus(CHANGE_AGAIN_TICKS));
-        }
-        if self.drives.iter().flatten().count() < 2 {
-            return None;
-        }
-        let ends = (0..self.axis_count).filter(|&index| self.drives[index].is_some());
-        let ends = ends.filter_map(|index| self.planner.way_end(index));
-        ends.map(|end| rest_from(Ticks(end)).max(self.now.plus(1)))
-            .min()
     }
 
     /// Where an axis will be, steps since boot.

@@ -28,7 +28,7 @@ impl<B: StepBackend> Motion<'_, B> {
         if self.phase != Phase::Rest && self.is_starved() {
             // What is left of the plan is left out: one axis slows down already.
             for axis in &mut self.backend.axes()[..self.axis_count] {
-                axis.decelerate();
+                axis.slow_down_with_others();
             }
             return;
         }
@@ -172,7 +172,7 @@ impl<B: StepBackend> Motion<'_, B> {
         }
         if self.planner.wants_brakes() {
             let axes = &mut self.backend.axes()[..self.axis_count];
-            self.planner.leave_brakes(axes);
+            self.planner.leave_brakes(axes, self.started_at.0);
         }
     }
 

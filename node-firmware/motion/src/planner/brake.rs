@@ -7,21 +7,36 @@
 //! ```
 //!
 //! What is written of a path ends in full run, because there is no room for more of it. Behind it the
-//! encoder finds the brake, and rests without the planner. The axes of a line slow down in the
-//! proportion of their speeds, and so on the line, if their segments end together; if not, each stays
-//! on its own way, and no axis goes beyond where the known path would have led it.
+//! encoder finds the brake, and rests without the planner.
+//!
+//! What holds then:
+//! - *Acceleration*: that of the path, constant; of an S-curve, its greatest. An S-curve's jerk does
+//!   not hold: its acceleration jumps where the brake begins and where it rests, by twice that at
+//!   most.
+//! - *Speed*: it only falls.
+//! - *Way*: no axis goes beyond where the known path would have led it.
+//! - *The line*: all axes begin to slow down at one time, that of the axis whose segments end first,
+//!   each at its first edge behind it, in the proportion of their speeds as of the last whole interval.
+//!   So they leave the line on which they were by a step and a half at most. They do not follow a
+//!   corner behind it.
 
 use super::{Planner, stretch::Stretch, way::room_of};
 use crate::{
-    axis::Axis, encoder::Brake, limits::TICK_HZ, lookahead::Line, real::Real, segment::Direction,
+    axis::Axis,
+    encoder::Brake,
+    limits::{CHANNELS, TICK_HZ},
+    lookahead::Line,
+    real::Real,
+    segment::Direction,
 };
 
-/// Returns the share of a line's acceleration that an axis has, steps/s², at least 1.
-fn accel_of(line: &Line, index: usize) -> u32 {
+/// Returns what the square of an axis' speed loses in a step by its share of a line's acceleration:
+/// 2a, mHz², at least 1.
+fn lost_of(line: &Line, index: usize) -> u64 {
     let hz = Real::of(TICK_HZ);
     let share = Real::of(line.steps[index].unsigned_abs()) / Real::of(line.major_steps);
-    let accel = (line.law.accel() * share * hz * hz).rounded();
-    u32::try_from(accel).unwrap_or(u32::MAX).max(1)
+    let lost = line.law.accel() * share * hz * hz * Real::of(2_000_000);
+    u64::try_from(lost.rounded()).unwrap_or(u64::MAX).max(1)
 }
 
 /// Returns the way that a line's greatest speed needs to rest, steps of the axis.
@@ -45,13 +60,24 @@ impl Planner {
         self.braked || self.is_unfinished()
     }
 
-    /// Leaves a brake on every axis that moves behind the last that is written of the path.
-    pub(crate) fn leave_brakes(&mut self, axes: &mut [Axis]) {
-        self.braked = false;
-        for (index, axis) in axes.iter_mut().enumerate() {
-            let brake = self.brake_of(index);
-            self.braked |= brake.is_some();
-            axis.set_brake(brake);
+    /// Leaves a brake on every axis that moves behind the last that is written of the path;
+    /// `started_at` is when the channels were started.
+    pub(crate) fn leave_brakes(&mut self, axes: &mut [Axis], started_at: u64) {
+        let mut brakes = [None; CHANNELS];
+        let mut from = u64::MAX;
+        for (index, brake) in brakes.iter_mut().take(axes.len()).enumerate() {
+            *brake = self.brake_of(index);
+            if brake.is_some() {
+                from = from.min(self.tails[index].at);
+            }
+        }
+        let from_ticks = from.saturating_sub(started_at);
+        self.braked = from < u64::MAX;
+        for (axis, brake) in axes.iter_mut().zip(brakes) {
+            axis.set_brake(brake.map(|brake| Brake {
+                from_ticks,
+                ..brake
+            }));
         }
     }
 
@@ -62,8 +88,9 @@ impl Planner {
             let way = self.ways[index].left(&self.stretches[room_of(index)], index);
             self.braked |= way.is_some();
             axis.set_brake(way.map(|(stretch, left)| Brake {
-                accel_hz_per_s: accel_of(&stretch.line, index),
+                lost: lost_of(&stretch.line, index),
                 steps_max: left + u64::from(self.tails[index].edge_at.is_some()),
+                from_ticks: u64::MAX,
             }));
         }
     }
@@ -107,8 +134,9 @@ impl Planner {
             steps_max = steps_max.saturating_add(steps);
         }
         Some(Brake {
-            accel_hz_per_s: accel_of(line, index),
+            lost: lost_of(line, index),
             steps_max,
+            from_ticks: u64::MAX,
         })
     }
 }

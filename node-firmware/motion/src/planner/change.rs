@@ -4,7 +4,7 @@ use super::{Begun, CUT_MARGIN_TICKS, Made, Planner, Split, Tail, stretch::Stretc
 use crate::{
     axis::Axis,
     lookahead::Lines,
-    path::Path,
+    path::{Path, State},
     real::Real,
     steps::{Exit, Moment},
 };
@@ -78,6 +78,18 @@ impl Planner {
         slower.cut(Real::of(cut - stretch.begin.ticks));
         slower.come_to_rest(&stretch.line.law);
         slower.end_steps() - place_at(&stretch, &path, now)
+    }
+
+    /// Returns speed and acceleration of an axis with sign where its part of the path can be changed
+    /// now, steps a tick and a tick²; `None`: no path is under way there.
+    pub(crate) fn pace_of(&self, index: usize, axis: &Axis, started_at: u64) -> Option<[Real; 2]> {
+        let cut = started_at + axis.committed_ticks();
+        let stretch = self.stretches[self.stretch_at(cut)?].as_ref()?;
+        let line = &stretch.line;
+        let share = Real::of_signed(line.steps[index]) / Real::of(line.major_steps);
+        let since = Real::of(cut - stretch.begin.ticks);
+        let State { speed, accel, .. } = stretch.path().state_at(since);
+        Some([speed * share, accel * share])
     }
 
     /// Returns whether a change in flight would take effect within the last line that is planned.

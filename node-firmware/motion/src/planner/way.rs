@@ -13,8 +13,9 @@ use crate::{
 };
 
 /// Stretches of one way that are not encoded to their end: what was under way, the change, the
-/// slowing down before a turn, the way back, and as many for changes within 2 ms.
-pub(super) const WAY_STRETCHES_MAX: usize = 6;
+/// slowing down before a turn, the way back, the rest behind a place that is passed, and as many for
+/// changes within 2 ms.
+pub(super) const WAY_STRETCHES_MAX: usize = 8;
 
 // A line and a way are never planned at the same time: drives begin at rest, and lines wait until
 // all of them have ended there. So ways lie in the memory of the lines.
@@ -60,6 +61,26 @@ impl Short {
         let ticks = (self.steps / speed).rounded();
         self.at.saturating_add(u64::try_from(ticks).unwrap_or(0))
     }
+}
+
+/// How a way begins and ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ends {
+    /// Steps of its ramp that it jumps over.
+    pub(crate) jump_steps: u16,
+    /// Speed with which it passes its end, steps a tick; 0: it rests there.
+    pub(crate) passing: Real,
+}
+
+/// How a way goes on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Onward {
+    /// To the end of its line, at rest.
+    ToEnd,
+    /// Past that at this speed, and to rest.
+    Past(Real),
+    /// To rest as soon as possible.
+    ToRest,
 }
 
 /// Where a way was left.
@@ -169,7 +190,14 @@ impl Way {
     ) -> Option<(&'r Stretch, u64)> {
         let steps = self.steps.as_ref()?;
         let stretch = room[self.writing.checked_sub(1)?].as_ref()?;
-        Some((stretch, steps.left(0, stretch.whole_steps(index))))
+        let mut left = steps.left(0, stretch.whole_steps(index));
+        if stretch.exit == Exit::Moving && stretch.until.is_none() {
+            // It passes its end, and the next one comes to rest.
+            let behind = self.all(room).nth(self.writing);
+            let way = behind.map_or(0, |behind| behind.path().end_steps().rounded());
+            left += way.unsigned_abs().saturating_sub(stretch.line.major_steps);
+        }
+        Some((stretch, left))
     }
 
     /// Leaves it at `cut`; all behind is dropped. The pin shows `direction` by then.
@@ -222,7 +250,7 @@ impl Way {
             };
             return Left::Moving { split, reach_steps };
         }
-        let since = Real::of(cut - stretch.begin.ticks);
+        let since = Real::of(cut - stretch.begin.ticks) - stretch.begin.part;
         let from = without_accel(stretch.path().state_at(since), &line.law);
         stretch.until = Some(since);
         stretch.exit = Exit::Moving;

@@ -12,7 +12,7 @@
 use super::{
     CUT_MARGIN_TICKS, Ease, Goal, Left, Made, Planner, Split, Stretch, Tail, WAY_STEPS_MAX,
     timing_of,
-    way::{Short, WAY_STRETCHES_MAX, room_of},
+    way::{Ends, Onward, Short, WAY_STRETCHES_MAX, room_of},
 };
 use crate::{
     axis::Axis,
@@ -32,8 +32,8 @@ impl Planner {
         let way = &mut self.ways[index];
         let room = &mut self.stretches[room_of(index)];
         way.retire(room, started_at + axis.encoded_ticks());
-        // It is left, slows down, and comes back.
-        way.count + 2 <= WAY_STRETCHES_MAX && !axis.has_ended()
+        // It is left, slows down, comes back, and rests behind its target.
+        way.count + 3 <= WAY_STRETCHES_MAX && !axis.has_ended()
     }
 
     /// Takes back what is not encoded of an axis and leaves its way there.
@@ -84,23 +84,28 @@ impl Planner {
         self.ways_rest_at = None;
     }
 
-    /// Begins a way from rest at `begin` or as soon as the axis may turn.
+    /// Begins a way from rest at `begin` or as soon as the axis may turn. Returns its steps with sign
+    /// until it rests.
     pub(crate) fn begin_way(
         &mut self,
         index: usize,
         line: Line,
-        jump_steps: u16,
+        ends: Ends,
         begin: u64,
         base_steps: i64,
         axes: &[Axis],
-    ) {
+    ) -> i64 {
         let timing = timing_of(axes);
+        let asked = line;
         let line = self.within(line, &timing[..axes.len()]);
         let mut from = State::REST;
-        if jump_steps > 0 {
-            let jump = u64::from(jump_steps).min(line.major_steps);
+        if ends.jump_steps > 0 {
+            let jump = u64::from(ends.jump_steps).min(line.major_steps);
             from.speed = line.law.jump_speed(Real::of(jump)).min(line.speed_max);
         }
+        let way = Real::of(line.major_steps);
+        let reached = Path::speed_reached(from, way, line.speed_max, &line.law);
+        let passing = (ends.passing * self.share()).min(reached);
         let direction = Direction::of(line.steps[index]);
         let short = self.ways[index].short;
         let made_at = short.map(|short| short.made_at(base_steps, direction, line.speed_max));
@@ -110,11 +115,15 @@ impl Planner {
         let mut stretch = Stretch {
             line,
             from,
-            goal: Goal::Leave(Real::ZERO),
+            goal: Goal::Leave(passing),
             until: None,
             begin: Moment::of(begin),
             end_ticks: 0,
-            exit: Exit::Rest,
+            exit: if passing.is_none() {
+                Exit::Rest
+            } else {
+                Exit::Moving
+            },
             share: self.share,
             base_steps: all_steps,
         };
@@ -141,6 +150,32 @@ impl Planner {
         stretch.begin = steps.begin();
         stretch.end_ticks = steps.end().ticks;
         self.push_way(index, stretch);
+        if passing.is_none() {
+            return line.steps[index];
+        }
+        let split = Split {
+            line: asked,
+            from: steps.path_mut().end_state(),
+            at: steps.end(),
+            base_steps: all_steps,
+        };
+        self.go_on_way(index, split, Onward::ToRest, axes).1
+    }
+
+    /// Returns the speed, up to this one, with which a way that was left can pass the end of its line;
+    /// `None`: it would be faster, or rests there.
+    pub(crate) fn passing_speed(&self, split: &Split, speed: Real, axes: &[Axis]) -> Option<Real> {
+        let timing = timing_of(axes);
+        let line = self.within(split.line, &timing[..axes.len()]);
+        let end = Real::of(line.major_steps);
+        let way = end - split.from.place;
+        if speed.is_none() || way.is_none() {
+            return None;
+        }
+        let reached = Path::speed_reached(split.from, way, line.speed_max, &line.law);
+        let speed = (speed * self.share()).min(reached);
+        let path = Path::plan(split.from, end, speed, line.speed_max, &line.law);
+        path.is_ok().then_some(speed)
     }
 
     fn way(&self, index: usize) -> impl Iterator<Item = &Stretch> {
@@ -172,16 +207,17 @@ impl Planner {
         begin - before.end_ticks
     }
 
-    /// Goes on with a way that was left, to the end of its line or to rest as soon as possible.
-    /// Returns where it ends: the tick, and steps of the line with sign.
+    /// Goes on with a way that was left. Returns where it rests: the tick, and steps of the line with
+    /// sign.
     pub(crate) fn go_on_way(
         &mut self,
         index: usize,
         split: Split,
-        to_rest: bool,
+        onward: Onward,
         axes: &[Axis],
     ) -> (u64, i64) {
         let timing = timing_of(axes);
+        let to_rest = matches!(onward, Onward::ToRest);
         let mut line = split.line;
         let sign = line.steps[index].signum();
         if to_rest {
@@ -191,15 +227,18 @@ impl Planner {
         let mut stretch = Stretch {
             line: self.within(line, &timing[..axes.len()]),
             from: split.from,
-            goal: if to_rest {
-                Goal::Rest(Ease::none(&split.line))
-            } else {
-                Goal::Leave(Real::ZERO)
+            goal: match onward {
+                Onward::ToRest => Goal::Rest(Ease::none(&split.line)),
+                Onward::ToEnd => Goal::Leave(Real::ZERO),
+                Onward::Past(speed) => Goal::Leave(speed),
             },
             until: None,
             begin: split.at,
             end_ticks: 0,
-            exit: Exit::Rest,
+            exit: match onward {
+                Onward::Past(_) => Exit::Moving,
+                Onward::ToEnd | Onward::ToRest => Exit::Rest,
+            },
             share: self.share,
             base_steps: split.base_steps,
         };
@@ -208,6 +247,14 @@ impl Planner {
         let end_steps = steps.path_mut().end_steps();
         stretch.end_ticks = steps.end().ticks;
         self.push_way(index, stretch);
+        if let Onward::Past(_) = onward {
+            let behind = Split {
+                from: steps.path_mut().end_state(),
+                at: steps.end(),
+                ..split
+            };
+            return self.go_on_way(index, behind, Onward::ToRest, axes);
+        }
         let made = match to_rest {
             true => sign * end_steps.rounded(),
             false => line.steps[index],
@@ -308,6 +355,28 @@ impl Planner {
             Direction::Positive => speed,
             Direction::Negative => Real::ZERO - speed,
         }
+    }
+
+    /// Returns speed and acceleration of an axis with sign where its way can be changed now, steps a
+    /// tick and a tick², and whether it turns behind that; `None`: it rests.
+    pub(crate) fn way_pace(
+        &self,
+        index: usize,
+        axis: &Axis,
+        started_at: u64,
+    ) -> Option<([Real; 2], bool)> {
+        let (stretch, cut) = self.under_way(index, axis, started_at)?;
+        let since = Real::of(cut - stretch.begin.ticks);
+        let State { speed, accel, .. } = stretch.path().state_at(since);
+        let sign = stretch.line.steps[index].signum();
+        let last = self.way(index).last()?;
+        let turns = last.line.steps[index].signum() != sign;
+        let pace = if sign < 0 {
+            [-speed, -accel]
+        } else {
+            [speed, accel]
+        };
+        Some((pace, turns))
     }
 
     /// What an axis does when its way can be changed, and when that is; `None`: it rests.

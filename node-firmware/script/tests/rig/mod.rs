@@ -6,8 +6,8 @@
     reason = "each test file uses another part of this one"
 )]
 
-use keys::{AxisId, Command, LocalMicros, NodeState, command::Ramp, start::BarrierName};
-use motion::{CommandError, DriveError, Target};
+use keys::{AxisId, Command, LocalMicros, NodeState, start::BarrierName};
+use motion::{CommandError, Course, DriveError, Target};
 use script::{BarrierError, End, Full, Host, LidarReading, Limits, Script, Step, Wait};
 
 pub struct Bench {
@@ -23,7 +23,7 @@ pub struct Bench {
     pub held: bool,
     pub percent: u16,
     pub stopped: bool,
-    pub driven: Vec<(AxisId, Target, Ramp)>,
+    pub driven: Vec<(AxisId, Target, Course)>,
     pub barriers: Vec<BarrierName>,
     /// Every command that ever came.
     pub commands: Vec<Command>,
@@ -115,11 +115,11 @@ impl Host for Bench {
         self.percent = percent;
         Ok(())
     }
-    fn drive(&mut self, axis: AxisId, target: Target, ramp: Ramp) -> Result<(), DriveError> {
+    fn drive(&mut self, axis: AxisId, target: Target, course: Course) -> Result<(), DriveError> {
         if target == Target::By(13) {
             return Err(DriveError::Still);
         }
-        self.driven.push((axis, target, ramp));
+        self.driven.push((axis, target, course));
         Ok(())
     }
     fn end_drive(&mut self, _: Option<AxisId>) {
