@@ -3,6 +3,7 @@
 
 use crate::plant::{Plant, ask, in_time, job_exists, put, until};
 use serde_json::json;
+use std::time::Duration;
 
 /// Every form that a secured fleet takes.
 const TAKEN: [&str; 8] = [
@@ -99,6 +100,36 @@ async fn a_key_that_only_includes_stops_is_denied_and_so_is_what_a_wide_stop_cou
             .all(Result::is_err)
     );
     in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stop_that_the_gateway_repeats_for_a_node_that_is_away_is_not_taken_for_a_clients() {
+    let plant = Plant::new().await;
+    let left = plant.node("left");
+    let (alice, bob) = (plant.session("alice").await, plant.session("bob").await);
+    until(&alice, "left", |record| record.alive).await;
+    in_time(left.shutdown()).await;
+    until(&alice, "left", |record| !record.alive).await;
+    let stops = in_time(alice.declare_subscriber("fleet/node/left/stop")).await;
+    let stops = stops.expect("declared");
+    // An answer comes behind it: then the router knows what she wants to hear.
+    ask(&alice, "fleet/node/left/state", None).await;
+    put(&bob, "fleet/node/left/stop", "{\"mode\":\"decelerate\"}").await;
+    let mut stamps = Vec::new();
+    for _ in 0..5 {
+        let sample = in_time(stops.recv_async()).await.expect("a stop");
+        let stamp = sample.timestamp().expect("the router stamps all");
+        stamps.push(stamp.get_time().to_duration());
+    }
+    // Behind bob's, and at once: half a second, a second, two. A gateway that heard its own words as a
+    // client's would say them again at once, and again.
+    let apart = stamps[1..].windows(2).map(|pair| pair[1] - pair[0]);
+    let apart: Vec<Duration> = apart.collect();
+    let least = Duration::from_millis(400);
+    assert!(apart.iter().all(|apart| *apart > least), "{apart:?}");
     in_time(plant.service.shutdown())
         .await
         .expect("a clean end");
