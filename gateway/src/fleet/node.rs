@@ -26,6 +26,7 @@ mod facts;
 mod hear;
 mod pace;
 mod show;
+mod sizes;
 mod turn;
 
 pub use facts::{Facts, Latch};
@@ -50,7 +51,7 @@ use std::collections::VecDeque;
 const REPLACED_BOOTS_MAX: usize = 8;
 
 /// Clock probes that may be unanswered; the oldest is given up for a new one.
-const PROBES_MAX: usize = 16;
+pub const PROBES_MAX: usize = 16;
 
 /// Gets that may wait for one release.
 const RELEASE_WAITERS_MAX: usize = 64;
