@@ -8,11 +8,64 @@
 //! node has anything of it to do. Until then it says so. A clock that is only slewed is none of this: both
 //! are slewed.
 
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicI64, Ordering},
+    },
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
 /// How far the two may be apart, µs: more than a leap second.
 pub const STEP_US_MAX: u64 = 2_000_000;
 
 /// Time between two looks, µs.
 pub const LOOK_EVERY_US: u64 = 5_000_000;
+
+/// The clock on the wall, UTC. Copies of one show the same.
+#[derive(Clone, Debug)]
+pub struct Wall {
+    look_every: Duration,
+    /// What it shows beyond this machine's, µs.
+    ahead_us: Arc<AtomicI64>,
+}
+
+impl Default for Wall {
+    /// That of this machine.
+    fn default() -> Self {
+        Self::to_be_set(Duration::from_micros(LOOK_EVERY_US))
+    }
+}
+
+impl Wall {
+    /// One beside this machine's, which it does not touch, for those who want to see what happens when
+    /// it is set. It is looked at so often.
+    pub fn to_be_set(look_every: Duration) -> Self {
+        Self {
+            look_every,
+            ahead_us: Arc::default(),
+        }
+    }
+
+    /// Sets it, µs beyond this machine's.
+    pub fn set_ahead_us(&self, us: i64) {
+        self.ahead_us.store(us, Ordering::Relaxed);
+    }
+
+    /// Returns what it shows, µs since 1970.
+    pub fn now_us(&self) -> u64 {
+        let since_epoch = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        let ahead_us = self.ahead_us.load(Ordering::Relaxed);
+        (since_epoch.as_micros() as u64).saturating_add_signed(ahead_us)
+    }
+
+    /// Returns the time between two looks.
+    pub const fn look_every(&self) -> Duration {
+        self.look_every
+    }
+}
 
 /// What to do after a look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

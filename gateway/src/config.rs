@@ -1,7 +1,8 @@
 //! Every setting of the gateway, with unit, default and reason.
 
 use crate::{
-    bus::limits::ClientLimits, collector::Collector, fleet::FleetConfig, job::gcode::Machines,
+    bus::limits::ClientLimits, clock_watch::Wall, collector::Collector, fleet::FleetConfig,
+    job::gcode::Machines,
 };
 use keys::{Keys, credentials::Credentials};
 use std::{net::SocketAddr, path::PathBuf};
@@ -78,6 +79,8 @@ pub struct GatewayConfig {
     pub scouting: bool,
     /// The machines of nodes that take G-code. None by default.
     pub machines: Machines,
+    /// The clock on the wall. That of this machine by default.
+    pub wall: Wall,
 }
 
 impl GatewayConfig {
@@ -98,6 +101,7 @@ impl GatewayConfig {
             otlp: None,
             scouting: false,
             machines: Machines::new(),
+            wall: Wall::default(),
         }
     }
 

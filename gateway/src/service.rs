@@ -16,58 +16,49 @@
 //! - Full: the fleet task waits for the writer, the inbox fills and answers for itself
 //!   (see [`crate::bus`]).
 
+mod observer;
+mod run;
+mod task;
+mod writer;
+
+pub use observer::{ANSWER_PATIENCE, Observer};
+pub use run::{Ready, Remaining, run};
+
 use crate::{
     bus::{
-        Arrived, Inbox, Outlets, WallClock,
+        Inbox, Outlets, WallClock,
         owners::Owners,
-        store_failed,
-        urgent::Intake,
         zenoh::{Bus, BusError},
     },
-    clock_watch::{Advice, ClockWatch, LOOK_EVERY_US, disagree},
+    clock_watch::{Advice, ClockWatch, Wall, disagree},
     config::GatewayConfig,
-    fleet::{
-        Fleet, FleetConfig, RestoreError,
-        event::{Effect, Event, Lane, ReplyTo},
-        owner::Resignation,
-    },
-    http::{self, HttpError},
+    fleet::{Fleet, FleetConfig, RestoreError, owner::Resignation},
+    http::HttpError,
     job::gcode::Machines,
-    journal::{Journal, JournalError},
-    observe::{self, Snapshot},
+    journal::JournalError,
     reading::{READERS_MAX, forward_jobs, read_jobs},
     security::Home,
     spans::JobSpans,
     standby::{self, Taken},
 };
-use keys::{FleetMicros, Keys, record::JobState};
-use metrics::{counter, gauge, histogram};
+use observer::QUESTIONS_MAX;
 use std::{
     hash::{BuildHasher, RandomState},
-    net::SocketAddr,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
+    sync::{Arc, atomic::AtomicBool},
 };
+use task::FleetTask;
 use thiserror::Error;
 use tokio::{
-    sync::{mpsc, oneshot, watch},
+    sync::{mpsc, watch},
     task::JoinHandle,
 };
+use writer::Writer;
 
 /// Handled events whose effects wait for the writer.
 pub const EFFECT_BATCHES_MAX: usize = 256;
 
 /// Handled events whose writes are committed together.
 pub const BATCHES_PER_COMMIT_MAX: usize = 100;
-
-/// Questions about the fleet that wait for their answer.
-const QUESTIONS_MAX: usize = 8;
-
-/// How long the fleet may take for an answer; one that takes longer hangs.
-pub const ANSWER_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Why the service cannot start or go on.
 #[derive(Debug, Error)]
@@ -99,6 +90,7 @@ pub enum ServiceError {
 #[derive(Debug)]
 pub struct Service {
     clock: WallClock,
+    wall: Wall,
     bus: Arc<Bus>,
     stop_jobs: watch::Sender<bool>,
     stop_fleet: watch::Sender<bool>,
@@ -111,128 +103,6 @@ pub struct Service {
     forwarder: JoinHandle<()>,
     fleet: JoinHandle<Remaining>,
     writer: std::thread::JoinHandle<Result<(), JournalError>>,
-}
-
-/// Where a gateway that is ready can be reached.
-#[derive(Clone, Copy, Debug)]
-pub struct Ready<'s> {
-    /// See [`Service::locators`].
-    pub locators: &'s [String],
-    /// Where `/metrics` and `/healthz` are.
-    pub http: Option<SocketAddr>,
-    /// What answers questions about the fleet.
-    pub observer: &'s Observer,
-}
-
-/// What is left undone when a service has ended. All of it is in the store.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Remaining {
-    /// Jobs that wait for their turn, their time or their node.
-    pub waiting: usize,
-    /// Jobs of which a node has commands: it goes on by itself until it misses its gateway.
-    pub on_nodes: usize,
-}
-
-impl Remaining {
-    fn of(fleet: &Fleet) -> Self {
-        let mut remaining = Self::default();
-        for job in fleet.jobs() {
-            match job.state() {
-                JobState::Queued => remaining.waiting += 1,
-                JobState::Sent | JobState::Running | JobState::Lost => remaining.on_nodes += 1,
-                _ => {}
-            }
-        }
-        remaining
-    }
-}
-
-/// Runs a gateway until `shutdown` resolves, the store fails or another gateway takes over. `taken` is
-/// its store if it stood by. When the wall clock was set it begins anew by itself, see
-/// [`clock_watch`](crate::clock_watch). `ready` is called whenever it has begun; machines that come by `reloads` are for the jobs
-/// that come after them.
-///
-/// # Errors
-/// See [`ServiceError`].
-///
-/// # Cancellation safety
-/// None: cancel by `shutdown`.
-pub async fn run(
-    mut config: GatewayConfig,
-    mut taken: Option<Taken>,
-    mut ready: impl FnMut(Ready<'_>),
-    shutdown: impl Future<Output = ()>,
-    mut reloads: mpsc::Receiver<Machines>,
-) -> Result<Remaining, ServiceError> {
-    let mut shutdown = std::pin::pin!(shutdown);
-    // First of all: an address that is taken is told before anything has begun.
-    let mut listener = match config.http {
-        Some(address) => Some(http::listen(address).await?),
-        None => None,
-    };
-    let metrics = match listener {
-        Some(_) => Some(http::install()?),
-        None => None,
-    };
-    loop {
-        let service = Service::start_with(config.clone(), taken.take()).await?;
-        if config.connect.is_empty() {
-            // Whoever knows where it is finds it there again.
-            config.listen = service.locators().to_vec();
-        }
-        let address = listener
-            .as_ref()
-            .and_then(|socket| socket.local_addr().ok());
-        let serve = listener
-            .take()
-            .zip(metrics.clone())
-            .map(|(listener, metrics)| {
-                let serve = http::serve(listener, service.observer(), metrics);
-                tokio::spawn(serve)
-            });
-        ready(Ready {
-            locators: service.locators(),
-            http: address,
-            observer: &service.observer,
-        });
-        let reload = async {
-            while let Some(machines) = reloads.recv().await {
-                config.machines = machines.clone();
-                service.set_machines(machines);
-            }
-            std::future::pending::<()>().await;
-        };
-        let ended = tokio::select! {
-            () = &mut shutdown => Ended::Asked,
-            () = service.failed() => Ended::Asked,
-            why = service.resigned() => Ended::Resigned(why),
-            () = service.clock_was_set() => Ended::ClockSet,
-            () = reload => Ended::Asked,
-        };
-        if let Some(serve) = serve {
-            serve.abort();
-            // So that the address is free again; it was aborted, and that is no news.
-            let _ = serve.await;
-        }
-        let remaining = service.shutdown().await?;
-        match ended {
-            Ended::Asked => return Ok(remaining),
-            Ended::Resigned(why) => return Err(ServiceError::Resigned(why)),
-            Ended::ClockSet => {}
-        }
-        if let Some(address) = address {
-            listener = Some(http::listen(address).await?);
-        }
-    }
-}
-
-/// Why a service ends that is run.
-enum Ended {
-    /// Somebody wants it, or the store has failed.
-    Asked,
-    Resigned(Resignation),
-    /// To begin anew.
-    ClockSet,
 }
 
 impl Service {
@@ -256,7 +126,7 @@ impl Service {
         for locator in config.listen().iter().chain(&config.connect) {
             crate::bus::zenoh::host_and_port(locator)?;
         }
-        let clock = WallClock::start();
+        let clock = WallClock::start(&config.wall);
         let taken = match taken {
             Some(taken) => taken,
             None => Taken::open(&config, clock).await?,
@@ -334,6 +204,7 @@ impl Service {
 
         let service = Self {
             clock,
+            wall: config.wall.clone(),
             bus,
             resigned,
             place,
@@ -418,8 +289,8 @@ impl Service {
     pub async fn clock_was_set(&self) {
         let mut watch = ClockWatch::default();
         loop {
-            tokio::time::sleep(Duration::from_micros(LOOK_EVERY_US)).await;
-            let ahead_us = self.clock.wall_ahead_us();
+            tokio::time::sleep(self.wall.look_every()).await;
+            let ahead_us = self.clock.wall_ahead_us(&self.wall);
             let at_rest = disagree(ahead_us)
                 && self
                     .observer
@@ -486,228 +357,4 @@ fn signers(config: &GatewayConfig) -> Result<Option<Vec<[u8; 32]>>, BusError> {
         Some(keys) => tracing::info!(keys, "only jobs that an operator has signed are taken"),
     }
     Ok(signers)
-}
-
-/// Asks the fleet what it is like.
-#[derive(Clone, Debug)]
-pub struct Observer {
-    questions: mpsc::Sender<oneshot::Sender<Snapshot>>,
-    failed: watch::Receiver<bool>,
-}
-
-impl Observer {
-    /// Returns whether the service that it asked has ended.
-    pub fn is_gone(&self) -> bool {
-        self.questions.is_closed()
-    }
-
-    /// Returns what the fleet is like now; `None` if it does not answer within
-    /// [`ANSWER_PATIENCE`] or the store has failed.
-    ///
-    /// # Cancellation safety
-    /// May be dropped; the answer is lost.
-    pub async fn snapshot(&self) -> Option<Snapshot> {
-        if *self.failed.borrow() {
-            return None;
-        }
-        let (answer, answered) = oneshot::channel();
-        let ask = async {
-            self.questions.send(answer).await.ok()?;
-            answered.await.ok()
-        };
-        tokio::time::timeout(ANSWER_PATIENCE, ask).await.ok()?
-    }
-}
-
-/// The effects of one handled event that go through the writer.
-type EffectBatch = Vec<Effect>;
-
-struct FleetTask {
-    fleet: Fleet,
-    clock: WallClock,
-    bus: Arc<Bus>,
-    batches: mpsc::Sender<EffectBatch>,
-    store_failed: Arc<AtomicBool>,
-    spans: JobSpans,
-    keys: Keys,
-}
-
-impl FleetTask {
-    async fn run(
-        mut self,
-        mut events: Intake,
-        mut asked: mpsc::Receiver<oneshot::Sender<Snapshot>>,
-        mut stopping: watch::Receiver<bool>,
-    ) -> Remaining {
-        loop {
-            // First, so that a flood of events cannot keep time from passing.
-            let due_in = self.due_in();
-            if due_in == Some(Duration::ZERO) {
-                self.handle(Event::Tick.into()).await;
-                tokio::task::consume_budget().await;
-            }
-            let due = async {
-                match self.due_in() {
-                    Some(due_in) => tokio::time::sleep(due_in).await,
-                    None => std::future::pending().await,
-                }
-            };
-            let arrived = tokio::select! {
-                biased;
-                arrived = events.next() => arrived,
-                _ = stopping.wait_for(|stop| *stop) => return Remaining::of(&self.fleet),
-                Some(answer) = asked.recv() => {
-                    // Whoever asked may have left.
-                    let _ = answer.send(Snapshot::of(&self.fleet));
-                    continue;
-                }
-                () = due => Event::Tick.into(),
-            };
-            self.handle(arrived).await;
-        }
-    }
-
-    /// Returns how long nothing has to be done; zero: something is due.
-    fn due_in(&self) -> Option<Duration> {
-        let due = self.fleet.poll_timeout()?;
-        Some(Duration::from_micros(due.since_us(self.clock.now())))
-    }
-
-    async fn handle(&mut self, arrived: Arrived) {
-        if self.store_failed.load(Ordering::Acquire) {
-            if let Some(reply) = reply_of(&arrived.event) {
-                self.bus.refuse(reply, store_failed());
-            }
-            return;
-        }
-        let now: FleetMicros = arrived.at.unwrap_or_else(|| self.clock.now());
-        let mut effects = Vec::new();
-        self.fleet.handle(arrived.event, now, &mut effects);
-        counter!(observe::EVENTS).increment(1);
-        self.carry_out(effects).await;
-    }
-
-    /// Sends what overtakes everything and hands the rest to the writer.
-    async fn carry_out(&mut self, mut effects: Vec<Effect>) {
-        effects.retain_mut(|effect| match effect {
-            Effect::Publish {
-                key,
-                payload,
-                lane: Lane::Record,
-                ..
-            } => {
-                self.spans.published(&self.keys, key, payload);
-                true
-            }
-            Effect::Publish {
-                key,
-                payload,
-                json,
-                lane: lane @ Lane::RealTime,
-            } => {
-                let payload = std::mem::take(payload);
-                self.bus.publish(key, payload, *json, *lane);
-                false
-            }
-            _ => true,
-        });
-        if !effects.is_empty() && self.batches.send(effects).await.is_err() {
-            tracing::error!("the writer is gone");
-        }
-    }
-}
-
-/// Returns who waits for an answer to this.
-fn reply_of(event: &Event) -> Option<ReplyTo> {
-    match event {
-        Event::Submit { reply, .. }
-        | Event::SubmitGroup { reply, .. }
-        | Event::Cancel { reply, .. }
-        | Event::Release { reply, .. }
-        | Event::Pace { reply, .. } => *reply,
-        Event::GetJobs { reply, .. }
-        | Event::GetNodes { reply, .. }
-        | Event::GetLinks { reply, .. }
-        | Event::ManageNodes { reply, .. }
-        | Event::Keep { reply, .. }
-        | Event::ManageJob { reply, .. } => Some(*reply),
-        Event::SubmitWith { submit, .. } => reply_of(submit),
-        Event::Stop { .. } | Event::Alive { .. } | Event::FromNode { .. } | Event::Tick => None,
-    }
-}
-
-struct Writer {
-    journal: Journal,
-    bus: Arc<Bus>,
-    batches: mpsc::Receiver<EffectBatch>,
-    store_failed: Arc<AtomicBool>,
-    failed: watch::Sender<bool>,
-}
-
-impl Writer {
-    /// Works until all who give effects are gone.
-    fn run(mut self) -> Result<(), JournalError> {
-        let mut first_error = None;
-        let mut writes = Vec::new();
-        let mut others = Vec::new();
-        while let Some(mut batch) = self.batches.blocking_recv() {
-            let mut batch_count = 1;
-            loop {
-                for effect in batch {
-                    match effect {
-                        Effect::Persist(write) => writes.push(write),
-                        other => others.push(other),
-                    }
-                }
-                if batch_count == BATCHES_PER_COMMIT_MAX {
-                    break;
-                }
-                match self.batches.try_recv() {
-                    Ok(next) => batch = next,
-                    Err(_) => break,
-                }
-                batch_count += 1;
-            }
-            gauge!(observe::STORE_WAITING).set(self.batches.len() as f64);
-            counter!(observe::STORE_WRITES).increment(writes.len() as u64);
-            let begun = Instant::now();
-            if first_error.is_none()
-                && !writes.is_empty()
-                && let Err(error) = self.journal.commit(&writes)
-            {
-                tracing::error!("the store failed: {error}");
-                self.store_failed.store(true, Ordering::Release);
-                self.failed.send_replace(true);
-                first_error = Some(error);
-            }
-            if !writes.is_empty() {
-                histogram!(observe::STORE_COMMIT).record(begun.elapsed());
-            }
-            writes.clear();
-            for effect in others.drain(..) {
-                self.carry_out(effect, first_error.is_some());
-            }
-        }
-        first_error.map_or(Ok(()), Err)
-    }
-
-    /// Lets one effect out. After a failure of the store: none, and each get gets the refusal.
-    fn carry_out(&self, effect: Effect, failed: bool) {
-        match effect {
-            Effect::Persist(_) => unreachable!("writes are set apart before"),
-            Effect::Publish {
-                key,
-                payload,
-                json,
-                lane,
-            } => {
-                if !failed {
-                    self.bus.publish(&key, payload, json, lane);
-                }
-            }
-            Effect::Reply { to, .. } if failed => self.bus.refuse(to, store_failed()),
-            Effect::Reply { to, key, payload } => self.bus.reply(to, key.as_deref(), payload),
-            Effect::ReplyEnd { to } => self.bus.end(to),
-        }
-    }
 }

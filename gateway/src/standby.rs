@@ -2,7 +2,10 @@
 //! [`crate::fleet::owner`]; here is what it decides about: tokens, store, time.
 
 use crate::{
-    bus::{WallClock, owners::Owners, zenoh::Watcher},
+    bus::{
+        WallClock,
+        owners::{Owners, Watcher},
+    },
     config::GatewayConfig,
     fleet::{
         Stored,
@@ -54,7 +57,7 @@ impl Taken {
 /// # Cancellation safety
 /// May be dropped at any time; a store that was just taken is free again.
 pub async fn stand_by(config: &GatewayConfig) -> Result<Taken, ServiceError> {
-    let clock = WallClock::start();
+    let clock = WallClock::start(&config.wall);
     let (sender, mut owners) = watch::channel(Owners::new());
     let watcher = Watcher::open(config, sender).await?;
     let mut ownership = Ownership::standby();

@@ -43,6 +43,8 @@ pub enum Happening {
     Kill,
     /// The gateway is killed, and its wall clock is wrong by up to an hour at its next start.
     WallClock,
+    /// The wall clock is set while the gateway runs, by up to an hour either way, or right again.
+    WallSet,
     /// The disk is full: the gateway ends by itself.
     Disk,
     /// A node's crystal changes its rate, to anything within ±100 ppm.
@@ -61,7 +63,7 @@ pub enum Happening {
 
 impl Happening {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::Job,
         Self::Group,
         Self::Link,
@@ -71,6 +73,7 @@ impl Happening {
         Self::Reboot,
         Self::Kill,
         Self::WallClock,
+        Self::WallSet,
         Self::Disk,
         Self::Drift,
         Self::Jump,
@@ -123,6 +126,8 @@ pub struct Outcome {
     pub accepted: u64,
     /// Of them, those that succeeded.
     pub succeeded: u64,
+    /// How often the gateway began anew because its wall clock was set.
+    pub begun_anew: u64,
     /// How often each thing happened.
     pub happened: [u64; Happening::ALL.len()],
 }
@@ -133,6 +138,7 @@ impl ops::AddAssign for Outcome {
         self.jobs += other.jobs;
         self.accepted += other.accepted;
         self.succeeded += other.succeeded;
+        self.begun_anew += other.begun_anew;
         for (sum, more) in self.happened.iter_mut().zip(other.happened) {
             *sum += more;
         }
@@ -146,17 +152,24 @@ impl fmt::Display for Outcome {
             jobs,
             accepted,
             succeeded,
+            begun_anew,
             happened,
         } = self;
         write!(
             f,
-            "{jobs} jobs, {accepted} with a receipt, {succeeded} succeeded, {commands} commands taken;"
+            "{jobs} jobs, {accepted} with a receipt, {succeeded} succeeded, {commands} commands taken; \
+             the gateway began anew {begun_anew} times;"
         )?;
         for (happening, count) in Happening::ALL.iter().zip(happened) {
             write!(f, " {happening:?} {count}")?;
         }
         Ok(())
     }
+}
+
+/// A wall clock that is wrong by up to an hour, µs.
+fn wrong_us(random: &mut Random) -> i64 {
+    random.between(0, 7_200 * S) as i64 - 3_600 * S as i64
 }
 
 fn any_node(random: &mut Random) -> &'static str {
@@ -307,8 +320,11 @@ fn run_with(
             Happening::Kill => world.kill_gateway(random.between(1, 3_000) * MS),
             Happening::WallClock => {
                 world.kill_gateway(random.between(1, 3_000) * MS);
-                let ahead_us = random.between(0, 7_200 * S) as i64 - 3_600 * S as i64;
-                world.set_gateway_clock_ahead(ahead_us);
+                world.set_wall_ahead(wrong_us(&mut random));
+            }
+            Happening::WallSet => {
+                let right = random.below(3) == 0;
+                world.set_wall_ahead(if right { 0 } else { wrong_us(&mut random) });
             }
             Happening::Disk => world.fill_disk(),
             Happening::Drift => {
@@ -374,5 +390,7 @@ fn run_with(
     outcome.succeeded = last
         .filter(|record| record.state == JobState::Succeeded)
         .count() as u64;
+    outcome.begun_anew = world.begun_anew();
+    world.check_bounds();
     outcome
 }

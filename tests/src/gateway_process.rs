@@ -1,9 +1,13 @@
 //! The gateway as a process that can be killed: its memory is lost, its disk is not.
 
 use crate::Random;
-use gateway::fleet::{
-    Fleet, FleetConfig, Stored,
-    event::{Effect, Event, Table, Write},
+use gateway::{
+    clock_watch::{Advice, ClockWatch, LOOK_EVERY_US, disagree},
+    fleet::{
+        Fleet, FleetConfig, Stored,
+        event::{Effect, Event, Table, Write},
+    },
+    observe::Snapshot,
 };
 use keys::FleetMicros;
 use std::collections::{BTreeMap, VecDeque};
@@ -26,12 +30,19 @@ pub struct GatewayProcess {
     disk: BTreeMap<(Table, String), Vec<u8>>,
     waiting: VecDeque<Group>,
     starts: u64,
-    /// What its wall clock shows beyond the world's time, µs.
+    /// What the wall clock shows beyond the world's time, µs: read at the start, and looked at then.
+    wall_ahead_us: i64,
+    /// What its own time shows beyond the world's, µs.
     clock_ahead_us: i64,
+    watch: ClockWatch,
+    /// When it looks at the wall again.
+    look_at_us: u64,
+    /// How often it began anew because the wall was set.
+    begun_anew: u64,
     /// The next commit fails.
     disk_fails: bool,
     /// It has ended by itself, and nobody has asked yet.
-    crashed: bool,
+    ended: bool,
 }
 
 impl GatewayProcess {
@@ -43,9 +54,13 @@ impl GatewayProcess {
             disk: BTreeMap::new(),
             waiting: VecDeque::new(),
             starts: 0,
+            wall_ahead_us: 0,
             clock_ahead_us: 0,
+            watch: ClockWatch::default(),
+            look_at_us: 0,
+            begun_anew: 0,
             disk_fails: false,
-            crashed: false,
+            ended: false,
         }
     }
 
@@ -72,6 +87,9 @@ impl GatewayProcess {
         let mut effects = Vec::new();
         self.starts += 1;
         self.disk_fails = false;
+        self.clock_ahead_us = self.wall_ahead_us;
+        self.watch = ClockWatch::default();
+        self.look_at_us = now_us + LOOK_EVERY_US;
         let config = FleetConfig {
             epoch: self.starts as u32,
             ..self.config.clone()
@@ -107,16 +125,37 @@ impl GatewayProcess {
         Self {
             disk: self.disk.clone(),
             starts: self.starts,
-            clock_ahead_us: self.clock_ahead_us,
+            wall_ahead_us: self.wall_ahead_us,
+            begun_anew: self.begun_anew,
             ..Self::new(self.config.clone())
         }
     }
 
-    /// Sets the wall clock that the next start reads, µs beyond the world's time: a computer
-    /// without a battery, or one that has just asked a time server.
-    pub fn set_clock_ahead(&mut self, us: i64) {
-        debug_assert!(!self.is_up(), "a gateway reads the wall clock once");
-        self.clock_ahead_us = us;
+    /// Sets the wall clock, µs beyond the world's time: somebody does it by hand, a time server
+    /// answers, a computer without a battery starts. It is read at a start; one that runs notices when
+    /// it looks.
+    pub fn set_wall_ahead(&mut self, us: i64) {
+        self.wall_ahead_us = us;
+    }
+
+    /// Returns how often it began anew because the wall was set while it ran.
+    pub fn begun_anew(&self) -> u64 {
+        self.begun_anew
+    }
+
+    /// Returns the fleet, if it runs.
+    pub fn fleet(&self) -> Option<&Fleet> {
+        self.fleet.as_ref()
+    }
+
+    /// Returns how many rows of this table are on the disk.
+    pub fn row_count(&self, of: Table) -> usize {
+        self.disk.keys().filter(|(table, _)| *table == of).count()
+    }
+
+    /// Returns how many groups of effects wait for the disk.
+    pub fn waiting_count(&self) -> usize {
+        self.waiting.len()
     }
 
     fn clock(&self, now_us: u64) -> FleetMicros {
@@ -129,9 +168,9 @@ impl GatewayProcess {
         self.disk_fails = self.is_up();
     }
 
-    /// Returns, once, that it has ended by itself.
-    pub fn take_crash(&mut self) -> bool {
-        std::mem::take(&mut self.crashed)
+    /// Returns, once, that it has ended by itself: its disk failed, or it begins anew.
+    pub fn take_end(&mut self) -> bool {
+        std::mem::take(&mut self.ended)
     }
 
     /// Kills it. Of what waited for the disk, some may have come so far without being told.
@@ -194,12 +233,30 @@ impl GatewayProcess {
         let disk = self.waiting.front().map(|group| group.due_us);
         let fleet = self.fleet.as_ref().and_then(Fleet::poll_timeout);
         let fleet = fleet.map(|at| at.0.saturating_add_signed(-self.clock_ahead_us));
-        [disk, fleet].into_iter().flatten().min()
+        let look = self.is_up().then_some(self.look_at_us);
+        [disk, fleet, look].into_iter().flatten().min()
+    }
+
+    /// Looks at the wall if it is time for that; returns whether to begin anew.
+    fn look(&mut self, now_us: u64) -> bool {
+        let Some(fleet) = self.fleet.as_ref().filter(|_| self.look_at_us <= now_us) else {
+            return false;
+        };
+        self.look_at_us = now_us + LOOK_EVERY_US;
+        let ahead_us = self.wall_ahead_us - self.clock_ahead_us;
+        let at_rest = disagree(ahead_us) && Snapshot::of(fleet).is_at_rest();
+        self.watch.look(ahead_us, at_rest) == Advice::BeginAnew
     }
 
     /// Does what is due: the disk first.
     pub fn poll(&mut self, now_us: u64, random: &mut Random) -> Vec<Effect> {
         let mut done = Vec::new();
+        let begins_anew = self.look(now_us);
+        if begins_anew {
+            // It takes nothing more, and lets out what it has.
+            let waiting = self.waiting.iter_mut();
+            waiting.for_each(|group| group.due_us = group.due_us.min(now_us));
+        }
         while self
             .waiting
             .front()
@@ -210,7 +267,7 @@ impl GatewayProcess {
             if self.disk_fails && group.effects.iter().any(writes) {
                 self.fleet = None;
                 self.waiting.clear();
-                self.crashed = true;
+                self.ended = true;
                 return done;
             }
             for effect in group.effects {
@@ -219,6 +276,12 @@ impl GatewayProcess {
                     other => done.push(other),
                 }
             }
+        }
+        if begins_anew {
+            self.fleet = None;
+            self.begun_anew += 1;
+            self.ended = true;
+            return done;
         }
         let due = self.fleet.as_ref().and_then(Fleet::poll_timeout);
         if due.is_some_and(|due| due <= self.clock(now_us)) {

@@ -229,6 +229,11 @@ impl Network {
         self.messages.keys().next().map(|(at_us, _)| *at_us)
     }
 
+    /// Returns how many messages are on their way.
+    pub fn message_count(&self) -> usize {
+        self.messages.len()
+    }
+
     /// Gives the next message that has arrived by now.
     pub fn arrived(&mut self, now_us: u64) -> Option<Message> {
         let entry = self.messages.first_entry()?;

@@ -39,6 +39,7 @@ fn no_command_is_lost_doubled_or_half_taken_whatever_fails() {
         all.accepted >= all.succeeded && all.accepted > all.jobs / 2,
         "{all}"
     );
+    assert!(all.begun_anew > RUNS / 20, "{all}");
     for happening in Happening::ALL {
         let count = all.happened[happening as usize];
         assert!(count > RUNS / 10, "{happening:?} {count} times only");

@@ -1,8 +1,8 @@
 //! What we build on: every `unsafe` has a place and a reason, every crate a licence that we may use,
 //! and no crate that we chose comes twice without a reason.
 //!
-//! The same lists serve `cargo deny --config .deny.toml check`, which also knows the advisories; its
-//! database has to be fetched, so people run it.
+//! The same lists serve `.ci/advisories` (cargo-deny), which also knows the advisories; their database has
+//! to be fetched, so people and CI run it.
 
 use serde_json::Value;
 use std::{

@@ -4,7 +4,7 @@
 //! a client that asks with the lowest one is behind everything else in its link. A client that takes
 //! nothing loses its link after [`STALLED_PEER_US`](crate::config::STALLED_PEER_US), as any other.
 
-use super::{busy, ear::refuse};
+use super::{busy, gets::refuse};
 use crate::journal::copy::Copier;
 use keys::record::{ErrorCode, JobError};
 use std::sync::{

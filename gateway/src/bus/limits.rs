@@ -7,14 +7,10 @@
 //!
 //! | what | bound | when it is passed |
 //! |---|---|---|
-//! | jobs, cancels, holds, speeds and reads of one client | [`ClientLimits::requests_per_s`], ten seconds of them at once | a get is answered `not_allowed`; of refused puts one a second leaves a record |
+//! | jobs, cancels, releases, holds, speeds and reads of one client | [`ClientLimits::requests_per_s`], ten seconds of them at once | a get is answered `not_allowed`; of refused puts one a second leaves a record |
 //! | their bytes | [`ClientLimits::bytes_per_s`], and the largest job at once | the same |
 //! | gets of one client that wait for their last reply | [`ClientLimits::gets_open`] | answered `not_allowed` |
 //! | what one node says | [`NODE_MESSAGES_PER_S`], two seconds of it at once | dropped: a node says again what matters |
-//!
-//! Releases share one account among all clients: they come by the way of the stops, so that none overtakes
-//! one, and on that way clients cannot be told apart. A flood of them can have others' releases refused,
-//! and nothing else.
 //!
 //! Stops are not counted: whatever else goes wrong, a stop is carried out.
 
@@ -27,6 +23,9 @@ pub const NODE_MESSAGES_PER_S: u64 = 2_000;
 
 /// Clients, and nodes, that are told apart; any more share what one has.
 pub const TOLD_APART_MAX: usize = 4_096;
+
+/// Shortest time between two looks for nodes that have been quiet, µs: a look costs as much as they are.
+const SWEEP_US: u64 = 1_000_000;
 
 /// What one client may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,6 +127,8 @@ pub(super) struct Limits {
     clients: HashMap<Client, Account>,
     gets_open: HashMap<Client, usize>,
     nodes: HashMap<Option<NodeId>, Bucket>,
+    /// When nodes that had been quiet were last forgotten.
+    swept_at: FleetMicros,
 }
 
 impl Limits {
@@ -137,6 +138,7 @@ impl Limits {
             clients: HashMap::new(),
             gets_open: HashMap::new(),
             nodes: HashMap::new(),
+            swept_at: FleetMicros(0),
         }
     }
 
@@ -211,7 +213,16 @@ impl Limits {
 
     /// Takes a message of a node, or drops it (`false`).
     pub(super) fn hear(&mut self, node: NodeId, now: FleetMicros) -> bool {
-        let known = self.nodes.contains_key(&Some(node)) || self.nodes.len() < TOLD_APART_MAX;
+        let mut known = self.nodes.contains_key(&Some(node)) || self.nodes.len() < TOLD_APART_MAX;
+        if !known && now.since_us(self.swept_at) >= SWEEP_US {
+            // Names that somebody made up must not take the places of nodes that come later.
+            self.swept_at = now;
+            self.nodes.retain(|_, bucket| {
+                bucket.fill(now);
+                !bucket.is_full()
+            });
+            known = self.nodes.len() < TOLD_APART_MAX;
+        }
         let bucket = self
             .nodes
             .entry(known.then_some(node))
@@ -313,5 +324,22 @@ mod tests {
             assert!(limits.hear(node, FleetMicros(0)) || index > TOLD_APART_MAX);
         }
         assert!(limits.nodes.len() <= TOLD_APART_MAX + 1);
+    }
+
+    #[test]
+    fn names_that_were_made_up_take_no_place_of_a_node_that_comes_later() {
+        let mut limits = Limits::new(LIMITS);
+        for index in 0..2 * TOLD_APART_MAX {
+            let node = NodeId::new(&format!("made-{index}")).expect("legal");
+            limits.hear(node, FleetMicros(S));
+        }
+        // All of them shout on as one; a node is heard as if it were alone.
+        let left = NodeId::new("left").expect("legal");
+        let at = FleetMicros(10 * S);
+        for index in 0..2 * NODE_MESSAGES_PER_S {
+            let node = NodeId::new(&format!("more-{index}")).expect("legal");
+            limits.hear(node, at);
+            assert!(limits.hear(left, at), "{index}");
+        }
     }
 }

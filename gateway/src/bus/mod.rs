@@ -23,15 +23,21 @@
 //! Deliberately absent: anything that knows what a job or a node is.
 
 pub mod backup;
+mod door;
 mod ear;
+mod gets;
 pub mod limits;
 pub mod owners;
+mod sessions;
 pub mod sizes;
 mod states;
 pub mod urgent;
 pub mod zenoh;
 
-use crate::fleet::event::{Event, ReplyTo};
+use crate::{
+    clock_watch::Wall,
+    fleet::event::{Event, ReplyTo},
+};
 use keys::{
     FleetMicros, NodeId, StopMode,
     record::{ErrorCode, JobError},
@@ -41,7 +47,7 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::Instant,
 };
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use urgent::{Intake, Urgent};
@@ -67,22 +73,18 @@ pub struct WallClock {
 }
 
 impl WallClock {
-    /// Reads UTC once.
-    pub fn start() -> Self {
-        let since_epoch = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
+    /// Reads the wall once.
+    pub fn start(wall: &Wall) -> Self {
         Self {
-            started_at_us: since_epoch.as_micros() as u64,
+            started_at_us: wall.now_us(),
             started: Instant::now(),
         }
     }
 
     /// Returns how far the wall is ahead now, µs; negative: behind. Not zero after it was set, or after
     /// a sleep of the machine.
-    pub fn wall_ahead_us(&self) -> i64 {
-        let wall = Self::start().started_at_us;
-        wall.cast_signed() - self.now().0.cast_signed()
+    pub fn wall_ahead_us(&self, wall: &Wall) -> i64 {
+        wall.now_us().cast_signed() - self.now().0.cast_signed()
     }
 
     /// Returns the time now.

@@ -1,7 +1,11 @@
 //! The tokens of owners on the network: who declares one, and who watches them. See
 //! [`crate::fleet::owner`].
 
-use super::zenoh::{BusError, zenoh_error};
+use super::{
+    sessions::{close, open_client},
+    zenoh::{BusError, zenoh_error},
+};
+use crate::config::GatewayConfig;
 use keys::Keys;
 use std::collections::BTreeSet;
 use tokio::sync::watch;
@@ -31,7 +35,7 @@ pub(super) async fn declare(
 }
 
 /// Keeps `owners` as the network knows them, until the subscriber is dropped.
-pub(super) async fn watch(
+pub(super) async fn watch_owners(
     session: &Session,
     keys: &Keys,
     owners: watch::Sender<Owners>,
@@ -53,4 +57,29 @@ pub(super) async fn watch(
         .callback(note)
         .await
         .map_err(zenoh_error)
+}
+
+/// Sees who owns the fleet, and nothing else: the eyes of a gateway that stands by.
+pub(crate) struct Watcher {
+    session: Session,
+    _subscriber: Subscriber<()>,
+}
+
+impl Watcher {
+    /// Joins the network and keeps `owners` as it knows them.
+    pub(crate) async fn open(
+        config: &GatewayConfig,
+        owners: watch::Sender<Owners>,
+    ) -> Result<Self, BusError> {
+        let session = open_client(&config.connect, config.credentials.as_ref()).await?;
+        let subscriber = watch_owners(&session, &config.keys, owners).await?;
+        Ok(Self {
+            session,
+            _subscriber: subscriber,
+        })
+    }
+
+    pub(crate) async fn close(&self) {
+        close(&self.session).await;
+    }
 }

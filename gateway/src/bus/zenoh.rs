@@ -12,23 +12,28 @@
 //!
 //! Two sessions, because a blocking message for a peer that takes nothing holds up all others of
 //! the same session until that peer's link is closed. Stops, clock probes and starts must not wait
-//! for that: they have a session, and a real-time lane in every link, of their own. Releases are heard by
-//! the same session, so that none overtakes the stop that its client sent before it.
+//! for that: they have a session, and a real-time lane in every link, of their own.
+//!
+//! Stops and releases of clients are heard by one and the same session, so that no release overtakes the
+//! stop that its client sent before it: by the router's own, which hears each link first hand and so
+//! knows the clients apart ([`limits`](super::limits)); in a network that was joined by the second one,
+//! whose link nothing else fills. The router's session hears what the second one says, too: that has
+//! stamps of its own, and stops with such a stamp are not taken for a client's.
 //!
 //! What is heard is sorted in `ear.rs`. Deliberately absent: any decision about jobs and nodes.
 
 use super::{
     Inbox, WallClock,
     backup::{BACKUP, Backup},
-    ear::{Door, Ear, Gets, refuse},
+    door::Door,
+    ear::Ear,
+    gets::{Gets, refuse, reply_key},
     owners::{self, Owners},
-    sizes::low_pass_filter,
+    sessions::{close, gateway_entry, open_client, open_router, reachable},
     states::StateKeys,
 };
 use crate::{
-    config::{
-        CLIENTS_MAX, GATEWAY_USER_DEFAULT, GatewayConfig, MESSAGE_BYTES_MAX, STALLED_PEER_US,
-    },
+    config::GatewayConfig,
     fleet::{
         event::{Lane, ReplyTo},
         kept::Kind,
@@ -36,10 +41,9 @@ use crate::{
     journal::copy::Copier,
     security::{Home, HomeError},
 };
-use keys::{Keys, NodeId, NodeTopic, Topic, credentials::Credentials, record::JobError, secret};
+use keys::{Keys, NodeId, NodeTopic, Topic, record::JobError};
 use std::{
-    net::{SocketAddr, TcpListener},
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -48,19 +52,19 @@ use tokio::sync::watch;
 use zenoh::{
     Session, Wait,
     bytes::{Encoding, ZBytes},
-    key_expr::{KeyExpr, keyexpr},
+    key_expr::KeyExpr,
     liveliness::LivelinessToken,
     pubsub::Subscriber,
     qos::{CongestionControl, Priority},
     query::Queryable,
     sample::Locality,
+    time::TimestampId,
 };
 
-/// How often a port that was free and then taken by somebody else is replaced by another one.
-const PORT_ATTEMPTS_MAX: usize = 16;
+pub(crate) use super::sessions::host_and_port;
 
 /// How long the router has for taking declarations, and a session for closing.
-const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
+pub(super) const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
 
 /// How long another gateway has for answering before this one takes the fleet: one on a busy
 /// machine is a rival too. Where there is none, nobody waits for that.
@@ -149,6 +153,8 @@ pub struct Bus {
     doors: Mutex<Doors>,
     states: StateKeys,
     locators: Vec<String>,
+    /// With an own router: whose stamps what `swift` says has.
+    own_stamps: Option<TimestampId>,
 }
 
 impl std::fmt::Debug for Bus {
@@ -196,6 +202,7 @@ impl Bus {
             }
         };
         let bus = Self {
+            own_stamps: own_router.then(|| swift.zid().into()),
             main,
             swift,
             keys: config.keys.clone(),
@@ -245,8 +252,16 @@ impl Bus {
     /// # Errors
     /// [`BusError::Zenoh`].
     pub async fn declare(&self, inbox: &Inbox, clock: WallClock) -> Result<(), BusError> {
-        let ear = |door: Door| Ear::new(door, inbox, clock, &self.keys, &self.gets);
+        let ear = |door: Door| {
+            let own_stamps = self.own_stamps;
+            Ear::new(door, inbox, clock, &self.keys, &self.gets, own_stamps)
+        };
         let mut doors = Doors::default();
+        // Both or none by the same way: a release must stay behind its client's stop.
+        let stops = match self.own_stamps {
+            Some(_) => &self.main,
+            None => &self.swift,
+        };
         for (session, door) in [
             (&self.main, Door::Node(NodeTopic::Job)),
             (&self.main, Door::GroupJob),
@@ -256,10 +271,8 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Ack)),
             (&self.main, Door::Node(NodeTopic::Report)),
             (&self.main, Door::Node(NodeTopic::Trace)),
-            (&self.swift, Door::Node(NodeTopic::Stop)),
-            // By the way of the stop, so that it stays behind the stop that its client sent before.
-            (&self.swift, Door::Node(NodeTopic::Release)),
-            // These lift no stop; and here the clients are told apart.
+            (stops, Door::Node(NodeTopic::Stop)),
+            (stops, Door::Node(NodeTopic::Release)),
             (&self.main, Door::Node(NodeTopic::Hold)),
             (&self.main, Door::Node(NodeTopic::Resume)),
             (&self.main, Door::Node(NodeTopic::Speed)),
@@ -281,7 +294,7 @@ impl Bus {
             (&self.main, Door::Node(NodeTopic::Job)),
             (&self.main, Door::GroupJob),
             (&self.main, Door::JobCancel),
-            (&self.swift, Door::Node(NodeTopic::Release)),
+            (stops, Door::Node(NodeTopic::Release)),
             (&self.main, Door::Node(NodeTopic::Hold)),
             (&self.main, Door::Node(NodeTopic::Resume)),
             (&self.main, Door::Node(NodeTopic::Speed)),
@@ -363,7 +376,7 @@ impl Bus {
         epoch: u32,
         owners: watch::Sender<Owners>,
     ) -> Result<(), BusError> {
-        let subscriber = owners::watch(&self.swift, &self.keys, owners).await?;
+        let subscriber = owners::watch_owners(&self.swift, &self.keys, owners).await?;
         let token = owners::declare(&self.main, &self.keys, epoch).await?;
         let mut doors = self.doors.lock().unwrap_or_else(PoisonError::into_inner);
         doors.subscribers.push(subscriber);
@@ -403,12 +416,15 @@ impl Bus {
         };
         let name = match (topic, node) {
             (Some(NodeTopic::State), Some(node)) => self.states.of(session, &self.keys, node),
-            _ => KeyExpr::try_from(key).map_err(Into::into),
+            _ => KeyExpr::try_from(key),
         };
+        // The router puts its own stamp on what has none, also on a client's stop.
+        let stamp = (topic == Some(NodeTopic::Stop)).then(|| session.new_timestamp());
         let put = name.and_then(|name| {
             session
                 .put(name, payload)
                 .encoding(encoding)
+                .timestamp(stamp)
                 .congestion_control(congestion)
                 .priority(priority)
                 .express(express)
@@ -461,277 +477,5 @@ impl Bus {
         self.gets.end_all();
         close(&self.swift).await;
         close(&self.main).await;
-    }
-}
-
-/// Sees who owns the fleet, and nothing else: the eyes of a gateway that stands by.
-pub(crate) struct Watcher {
-    session: Session,
-    _subscriber: Subscriber<()>,
-}
-
-impl Watcher {
-    /// Joins the network and keeps `owners` as it knows them.
-    pub(crate) async fn open(
-        config: &GatewayConfig,
-        owners: watch::Sender<Owners>,
-    ) -> Result<Self, BusError> {
-        let session = open_client(&config.connect, config.credentials.as_ref()).await?;
-        let subscriber = owners::watch(&session, &config.keys, owners).await?;
-        Ok(Self {
-            session,
-            _subscriber: subscriber,
-        })
-    }
-
-    pub(crate) async fn close(&self) {
-        close(&self.session).await;
-    }
-}
-
-async fn close(session: &Session) {
-    match tokio::time::timeout(ROUTER_PATIENCE, session.close()).await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::warn!("closing a session: {error}"),
-        Err(_) => tracing::warn!("closing a session took too long"),
-    }
-}
-
-/// Returns the key under which a record answers a get: its own, if the get's key includes it.
-///
-/// Zenoh carries only replies on keys that the get's includes. So a job's record answers a cancel
-/// on the key of that job's cancel, and a node's record a release on that of the node's release.
-/// A record that a wide get (`fleet/node/l*/**`) does not mean is left out.
-fn reply_key(asked: &keyexpr, key: &str) -> Option<String> {
-    let verb = asked.as_str().rsplit('/').next().unwrap_or_default();
-    let parent = key.rsplit_once('/').map_or(key, |(parent, _)| parent);
-    // A label's nodes all answer on the one key of its jobs, which names none of them.
-    let of_label = asked.as_str().contains("/manage/label/");
-    [
-        key.to_owned(),
-        format!("{key}/{verb}"),
-        format!("{parent}/{verb}"),
-    ]
-    .into_iter()
-    .chain(of_label.then(|| asked.as_str().to_owned()))
-    .find(|key| {
-        keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key) && !key.contains('*'))
-    })
-}
-
-fn settings(pairs: &[(&str, String)]) -> Result<zenoh::Config, BusError> {
-    let mut config = zenoh::Config::default();
-    for (key, value) in pairs {
-        config
-            .insert_json5(key, value)
-            .map_err(|error| BusError::Zenoh(format!("{key}: {error}")))?;
-    }
-    Ok(config)
-}
-
-fn json<T: serde::Serialize + ?Sized>(value: &T) -> String {
-    serde_json::to_string(value).expect("texts and lists of texts are JSON")
-}
-
-/// Opens a session in router mode. Returns where it listens.
-async fn open_router(
-    config: &GatewayConfig,
-    home: Option<&Home>,
-) -> Result<(Session, Vec<String>), BusError> {
-    let wanted = config.listen();
-    let mut attempts = 0;
-    loop {
-        attempts += 1;
-        let listen = wanted
-            .iter()
-            .map(|locator| with_port(locator))
-            .collect::<Result<Vec<_>, _>>()?;
-        let mut pairs = vec![
-            ("mode", json("router")),
-            ("listen/endpoints", json(&listen)),
-            ("scouting/multicast/enabled", config.scouting.to_string()),
-            (
-                "transport/link/tx/queue/congestion_control/block/wait_before_close",
-                STALLED_PEER_US.to_string(),
-            ),
-            (
-                "transport/link/rx/max_message_size",
-                MESSAGE_BYTES_MAX.to_string(),
-            ),
-            (
-                "transport/unicast/max_sessions",
-                (config.fleet.nodes_max + CLIENTS_MAX).to_string(),
-            ),
-            ("low_pass_filter", low_pass_filter(&config.keys).to_string()),
-        ];
-        if let Some(users) = &config.users {
-            let file = json(&users.to_string_lossy());
-            pairs.push(("transport/auth/usrpwd/dictionary_file", file));
-        }
-        if let Some(home) = home {
-            let settings = home.router_settings(&config.keys)?.into_iter();
-            pairs.extend(settings.map(|(key, value)| (key, value.to_string())));
-        }
-        match zenoh::open(settings(&pairs)?).await {
-            Ok(session) => return Ok((session, listen)),
-            // Between choosing a port and listening on it somebody else may have taken it.
-            Err(_) if listen != wanted && attempts < PORT_ATTEMPTS_MAX => {}
-            Err(error) => {
-                return Err(BusError::Listen {
-                    listen: listen.join(", "),
-                    reason: error.to_string(),
-                });
-            }
-        }
-    }
-}
-
-/// Opens a session in client mode.
-async fn open_client(
-    connect: &[String],
-    credentials: Option<&Credentials>,
-) -> Result<Session, BusError> {
-    for locator in connect {
-        host_and_port(locator)?;
-    }
-    let mut pairs = vec![
-        ("mode", json("client")),
-        ("connect/endpoints", json(connect)),
-        ("scouting/multicast/enabled", false.to_string()),
-        (
-            "transport/link/tx/queue/congestion_control/block/wait_before_close",
-            STALLED_PEER_US.to_string(),
-        ),
-        (
-            "transport/link/rx/max_message_size",
-            MESSAGE_BYTES_MAX.to_string(),
-        ),
-    ];
-    if let Some(credentials) = credentials {
-        pairs.extend(credentials.zenoh_settings());
-    }
-    zenoh::open(settings(&pairs)?)
-        .await
-        .map_err(|error| BusError::Connect {
-            connect: connect.join(", "),
-            reason: error.to_string(),
-        })
-}
-
-/// Takes a locator apart: protocol, host, port.
-pub(crate) fn host_and_port(locator: &str) -> Result<(&str, &str, u16), BusError> {
-    let bad = || BusError::Locator(locator.to_owned());
-    let (protocol, address) = locator.split_once('/').ok_or_else(bad)?;
-    let (host, port) = address.rsplit_once(':').ok_or_else(bad)?;
-    if host.is_empty() || !matches!(protocol, "tcp" | "tls") {
-        return Err(bad());
-    }
-    Ok((protocol, host, port.parse().map_err(|_| bad())?))
-}
-
-/// Returns the locator with a port that is free now in place of 0.
-fn with_port(locator: &str) -> Result<String, BusError> {
-    let (protocol, host, port) = host_and_port(locator)?;
-    if port != 0 {
-        return Ok(locator.to_owned());
-    }
-    let free = TcpListener::bind(format!("{host}:0"))
-        .and_then(|listener| listener.local_addr())
-        .map_err(|error| BusError::Listen {
-            listen: locator.to_owned(),
-            reason: error.to_string(),
-        })?;
-    Ok(format!("{protocol}/{host}:{}", free.port()))
-}
-
-/// Returns how this process reaches a locator that it listens on.
-fn reachable(locator: &str) -> String {
-    let Some((protocol, address)) = locator.split_once('/') else {
-        return locator.to_owned();
-    };
-    match address.parse::<SocketAddr>() {
-        // The name that is in every certificate that `fleet init` makes.
-        Ok(address) if protocol == "tls" => format!("tls/localhost:{}", address.port()),
-        Ok(address) if address.ip().is_unspecified() => match address {
-            SocketAddr::V4(address) => format!("tcp/127.0.0.1:{}", address.port()),
-            SocketAddr::V6(address) => format!("tcp/[::1]:{}", address.port()),
-        },
-        _ => locator.to_owned(),
-    }
-}
-
-/// Returns the gateway's own line of the users file.
-fn gateway_entry(file: &Path) -> Result<Credentials, BusError> {
-    let users = |reason: String| BusError::Users {
-        path: file.to_owned(),
-        reason,
-    };
-    let text = secret::read(file).map_err(|error| users(error.to_string()))?;
-    text.lines()
-        .filter_map(|line| line.split_once(':'))
-        .find(|(user, _)| user.trim() == GATEWAY_USER_DEFAULT)
-        .map(|(user, password)| Credentials {
-            connect: Vec::new(),
-            user: user.trim().to_owned(),
-            password: password.trim().to_owned(),
-            ca: None,
-        })
-        .ok_or_else(|| {
-            users(format!(
-                "there must be a line `{GATEWAY_USER_DEFAULT}:PASSWORD`, as which the gateway itself connects"
-            ))
-        })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_locator_needs_a_host_and_a_port() {
-        for bad in [
-            "",
-            "7447",
-            "127.0.0.1:7447",
-            "udp/127.0.0.1:7447",
-            "tcp/:7447",
-            "tcp/localhost",
-            "tcp/localhost:x",
-            "tcp/localhost:70000",
-        ] {
-            assert!(host_and_port(bad).is_err(), "{bad}");
-        }
-        assert_eq!(
-            host_and_port("tcp/[::]:7447").expect("legal"),
-            ("tcp", "[::]", 7447)
-        );
-    }
-
-    #[test]
-    fn a_record_answers_on_a_key_that_was_asked_for() {
-        let key = |asked: &str, key: &str| {
-            reply_key(keyexpr::new(asked).expect("legal"), key).unwrap_or_default()
-        };
-        let job = "fleet/job/part-1";
-        assert_eq!(key("fleet/job/*", job), job);
-        assert_eq!(key("fleet/**", job), job);
-        let cancel = "fleet/job/part-1/cancel";
-        assert_eq!(key(cancel, job), cancel);
-        assert_eq!(key("fleet/job/part-$*/cancel", job), cancel);
-        assert_eq!(key("fleet/job/other/cancel", job), "");
-        let state = "fleet/node/left/state";
-        let release = "fleet/node/left/release";
-        assert_eq!(key(release, state), release);
-        assert_eq!(key("fleet/node/*/release", state), release);
-        assert_eq!(key("fleet/node/r$*/**", state), "");
-    }
-
-    #[test]
-    fn the_gateway_reaches_its_own_router_also_when_that_listens_everywhere() {
-        assert_eq!(reachable("tcp/0.0.0.0:7447"), "tcp/127.0.0.1:7447");
-        assert_eq!(reachable("tcp/[::]:7447"), "tcp/[::1]:7447");
-        assert_eq!(reachable("tcp/10.0.0.1:1"), "tcp/10.0.0.1:1");
-        assert_eq!(reachable("tcp/plant:1"), "tcp/plant:1");
-        assert_eq!(reachable("tls/0.0.0.0:7447"), "tls/localhost:7447");
     }
 }

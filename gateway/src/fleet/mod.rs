@@ -28,6 +28,7 @@ pub mod owner;
 pub mod pattern;
 mod restore;
 pub mod route;
+pub mod sizes;
 pub mod start;
 mod submit;
 mod timers;
@@ -78,8 +79,8 @@ pub struct FleetConfig {
     pub retention_us: u64,
     /// Jobs that may wait for one node; one more is refused as `too_large`.
     pub waiting_jobs_max: usize,
-    /// Commands that all jobs which are not final may hold together, 32 bytes each; more are
-    /// refused as `too_large`.
+    /// Commands that all jobs which are not final may hold together, 32 bytes each; a script counts
+    /// as those that take as much. More are refused as `too_large`.
     pub held_commands_max: usize,
     /// Nodes that are known; another one is not heard.
     pub nodes_max: usize,

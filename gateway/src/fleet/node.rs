@@ -27,6 +27,7 @@ mod hear;
 mod latch;
 mod pace;
 mod show;
+mod sizes;
 mod turn;
 
 pub use facts::{Facts, Latch};
@@ -51,7 +52,7 @@ use std::collections::VecDeque;
 const REPLACED_BOOTS_MAX: usize = 8;
 
 /// Clock probes that may be unanswered; the oldest is given up for a new one.
-const PROBES_MAX: usize = 16;
+pub const PROBES_MAX: usize = 16;
 
 /// A boot that was replaced and speaks on: another controller has the same name.
 #[derive(Clone, Copy, Debug)]

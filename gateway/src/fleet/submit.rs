@@ -13,9 +13,10 @@ use super::{
     Fleet, error_reply,
     event::{Effect, ReplyTo},
     pattern::Pattern,
+    sizes::cut,
 };
 use crate::{
-    job::{Job, JobEntry, new_record},
+    job::{Job, JobEntry, held_of_script, new_record},
     security::signing,
 };
 use keys::{
@@ -159,7 +160,8 @@ impl Fleet {
             let message = format!("{waiting_count} jobs wait for node {node}; no more can");
             return Err(JobError::new(ErrorCode::TooLarge, message));
         }
-        let held = self.book.held_commands() + prepared.commands.len();
+        let own = prepared.commands.len() + held_of_script(prepared.script.as_deref());
+        let held = self.book.held_commands() + own;
         if held > self.config.held_commands_max {
             let message = format!(
                 "all jobs together would hold {held} commands; at most {} can be held",
@@ -269,6 +271,7 @@ impl Fleet {
         reply: Option<ReplyTo>,
         effects: &mut Vec<Effect>,
     ) {
+        let error = cut(error);
         if let Some(to) = reply {
             effects.push(error_reply(to, error));
             return;

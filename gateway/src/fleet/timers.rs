@@ -33,6 +33,11 @@ impl<K: Copy + Ord> Timers<K> {
         }
     }
 
+    /// Returns how many wait.
+    pub(super) fn len(&self) -> usize {
+        self.by_name.len()
+    }
+
     /// Returns the next time.
     pub(super) fn first(&self) -> Option<FleetMicros> {
         self.by_time.first().map(|(at, _)| *at)

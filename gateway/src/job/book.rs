@@ -89,7 +89,8 @@ impl Book {
             .filter_map(|id| self.jobs.get(id))
     }
 
-    /// Returns how many commands all jobs that are not final hold together.
+    /// Returns how many commands all jobs that are not final hold together; a script counts as those that
+    /// take as much memory.
     pub fn held_commands(&self) -> usize {
         self.held_commands
     }
@@ -145,9 +146,9 @@ impl Book {
         effects: &mut Vec<Effect>,
     ) {
         let part = self.part_mut(id, node);
-        let held_before = part.commands.len();
+        let held_before = part.held();
         part.change(change, now);
-        let held = part.commands.len();
+        let held = part.held();
         self.held_commands -= held_before - held;
         if self.jobs[id].is_group() {
             self.touched.insert(*id);
@@ -199,6 +200,11 @@ impl Book {
     /// Says that something about a synchronized job's nodes is news.
     pub fn touch(&mut self, id: &JobId) {
         self.touched.insert(*id);
+    }
+
+    /// Returns how many synchronized jobs have something new about them.
+    pub fn touched_count(&self) -> usize {
+        self.touched.len()
     }
 
     /// Returns a synchronized job of which something is news, once.
@@ -333,8 +339,8 @@ impl Book {
                 self.rejected.insert(place);
             }
         }
-        let parts = job.parts.values().map(|part| part.commands.len());
-        self.held_commands += job.commands.len() + parts.sum::<usize>();
+        let parts = job.parts.values().map(Job::held);
+        self.held_commands += job.held() + parts.sum::<usize>();
         self.history.insert(sequence, id);
         self.jobs.insert(id, job);
     }

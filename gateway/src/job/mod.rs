@@ -140,6 +140,12 @@ pub struct Step {
     pub state: JobState,
 }
 
+/// Returns how many commands would take as much memory as a script.
+pub fn held_of_script(script: Option<&str>) -> usize {
+    const COMMAND_BYTES: usize = 4 * keys::command::COMMAND_WORDS;
+    script.map_or(0, |script| script.len().div_ceil(COMMAND_BYTES))
+}
+
 /// A script has returned; the commands that it queued may still be executed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScriptEnd {
@@ -256,6 +262,11 @@ impl Job {
     /// Returns where it is.
     pub fn state(&self) -> JobState {
         self.entry.record.state
+    }
+
+    /// Returns how much it takes in memory while it is not final, in commands; without its parts.
+    pub fn held(&self) -> usize {
+        self.commands.len() + held_of_script(self.script.as_deref())
     }
 
     /// Gives it a script, for which it has no commands of its own.

@@ -22,14 +22,14 @@
 //! | who attacks | what stands in the way | test | what is left |
 //! |---|---|---|---|
 //! | somebody in the network, without a password | an unsecured gateway listens on its own machine only and says so; a secured one lets in by password, people by TLS with the fleet's own authority | `nobody_gets_in_without_the_right_password…`, `a_person_who_comes_without_tls…` | can open connections until the system has no more; can listen to and change what nodes say and hear over plain TCP, unless they speak TLS, see below |
-//! | a viewer | rules of the router: may look on and stop, and what is larger than its kind of message is passed on to nobody; stops of a flood wait as one | `a_viewer_looks_on_and_stops…`, `a_key_that_only_includes_stops…`, `what_is_too_large…`, `a_flood_of_stops…` | can stop everything all the time: a stop is never refused |
-//! | a node that was taken over | rules by the name under which it authenticated: its own keys only | `a_node_cannot_speak_as_another…` | can lie about itself; can be heard 2,000 times a second ([`limits`](crate::bus::limits)), 4 KiB each ([`sizes`](crate::bus::sizes)); like every link it can have the router put together one message of 65 MiB in each of its lanes |
-//! | an operator's client that runs wild | bounds by link on requests, bytes and open gets; a job's size; jobs for one node | `a_client_that_floods…`, `a_job_that_is_too_large…`, `no_list_grows_without_bound`, `refused_jobs_do_not_push_out…` | behind a router of others all its clients count as one; releases of all clients share one account; a stop is not counted |
+//! | a viewer | rules of the router: may look on and stop, and what is larger than its kind of message is passed on to nobody; stops of a flood wait as one | `a_viewer_looks_on_and_stops…`, `a_key_that_only_includes_stops…`, `whoever_calls_himself_a_peer…`, `what_is_too_large…`, `a_flood_of_stops…` | can stop everything all the time: a stop is never refused |
+//! | a node that was taken over | rules by the name under which it authenticated: its own keys only | `a_node_cannot_speak_as_another…` | can lie about itself; can be heard 2,000 times a second ([`limits`](crate::bus::limits)), 4 KiB each ([`sizes`](crate::bus::sizes)); like every link it can have the router hold memory, see below |
+//! | an operator's client that runs wild | bounds by link on requests, bytes and open gets; a job's size; jobs for one node; commands and scripts of all jobs; the text of a refusal | `a_client_that_floods…`, `scripts_that_wait…`, `a_refusal_keeps_no_more…`, `a_job_that_is_too_large…`, `no_list_grows_without_bound`, `refused_jobs_do_not_push_out…` | behind a router of others all its clients count as one; one that connects anew begins with a full account; a stop is not counted |
 //! | whoever has the router or the gateway, or sits between them and a node | signed jobs: the node executes exactly the commands or the script that an operator's key has signed, for this node, in this life of it, once | `node/tests/signed.rs`, `what_an_operator_signed_is_executed_once…` | can withhold, delay and cut off, stop, cancel, release, hold, resume, change the speed within what the node allows, and choose when a job begins; can tell clients anything: records are not signed |
 //! | whoever has an operator's key or password | `fleet keys revoke`, `fleet users revoke`; both count from the next start; private halves are files that nobody else may read, and never on a command line | `a_secret_that_others_may_read_is_refused`, `who_was_revoked…`, `a_fleet_that_signs_goes_on_asking…` | until then everything that the operator could |
 //! | whoever has the gateway's disk | – | – | everything but the operators' signing keys, if those were handed out and removed |
 //! | whoever has a node in hand | – | – | its password and, if it is not encrypted, its flash |
-//! | a crate that we build on | versions are locked; licences, sources and `unsafe` are checked by `tests/tests/supply.rs`; advisories by `cargo deny`, by people | `tests/tests/supply.rs` | what nobody has found yet |
+//! | a crate that we build on | versions are locked; licences, sources and `unsafe` are checked by `tests/tests/supply.rs`; withdrawn versions by `.ci/yanked`, advisories by `.ci/advisories` where the network is | `tests/tests/supply.rs` | what nobody has found yet |
 //!
 //! **Signed jobs** are described in [`keys::signed`]. Why the life of the node is signed and no date:
 //! a node has no calendar, and one that believed its gateway's would believe an attacker's. A job that
@@ -61,6 +61,18 @@
 //! honest gateway is obeyed until that node boots. A node can make nobody resign: its record says that
 //! it obeys another gateway, and the others are served. Only who may be a gateway can declare an
 //! owner's token.
+//!
+//! **Memory.** Before the router looks at a message it puts it together from fragments, and what is too
+//! large for its key is dropped only then. Zenoh bounds that for each lane of a link (eight priorities,
+//! reliable and not) by one number for all links, `transport/link/rx/max_message_size`: here
+//! [`MESSAGE_BYTES_MAX`](crate::config::MESSAGE_BYTES_MAX), 65 MiB, because a job may have 64
+//! (`fragments_without_an_end…`). So one link can have 1 GiB of it, and all that are let in (`nodes` of
+//! `fleet.toml` and [`CLIENTS_MAX`](crate::config::CLIENTS_MAX)) more than any machine has. Worse, zenoh
+//! 1.10.2 keeps every fragment in the batch in which it came: pieces of one byte take 8 to 64 KiB
+//! each (`PIECE=1 PIECES=5000 cargo test -p tests --test fragments -- --nocapture`), however little that is
+//! of the 65 MiB. Whoever has a password can therefore end a gateway. The bound of the whole is the process's: `gateway/debian/stepfleet.service`
+//! gives it three quarters of the machine's memory and starts it again; nodes have stopped by themselves
+//! by then, and the store has what was accepted.
 //!
 //! **Denial.** A fleet in a network that somebody else owns can be kept from working. It cannot be
 //! kept from stopping: a node that loses its link stops by itself, and a stop pin needs no network.

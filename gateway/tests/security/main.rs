@@ -6,6 +6,7 @@
 //! been passed over.
 
 mod limits;
+mod modes;
 mod plant;
 mod revoked;
 mod stops;

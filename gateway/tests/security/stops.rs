@@ -2,7 +2,9 @@
 //! `/node/NODES/stop`, and nothing else gets through by those forms.
 
 use crate::plant::{Plant, ask, in_time, job_exists, put, until};
+use keys::{AxisStatus, Features, LocalMicros, NodeState, QueueId, Status, version};
 use serde_json::json;
+use std::time::Duration;
 
 /// Every form that a secured fleet takes.
 const TAKEN: [&str; 8] = [
@@ -99,6 +101,59 @@ async fn a_key_that_only_includes_stops_is_denied_and_so_is_what_a_wide_stop_cou
             .all(Result::is_err)
     );
     in_time(left.shutdown()).await;
+    in_time(plant.service.shutdown())
+        .await
+        .expect("a clean end");
+}
+
+/// The word of a node that is idle.
+fn idle_status() -> Vec<u8> {
+    let status = Status {
+        at: LocalMicros(1),
+        queue: QueueId { boot: 1, flush: 0 },
+        state: NodeState::Idle,
+        stop: None,
+        job: None,
+        accepted_commands: 0,
+        executed_commands: 0,
+        credit_commands: 16,
+        axes: [AxisStatus::default()].into_iter().collect(),
+        faults: [].into_iter().collect(),
+        features: Features::BASIC,
+        firmware: [0, 1, 0],
+        rssi_dbm: None,
+        laser_percent: 0,
+        lidar_mm: None,
+    };
+    let mut buffer = [0; 512];
+    let bytes = version::encode(&status, &mut buffer);
+    bytes.expect("it fits").to_vec()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stop_that_the_gateway_repeats_is_not_taken_for_a_clients() {
+    let plant = Plant::new().await;
+    let (alice, bob) = (plant.session("alice").await, plant.session("bob").await);
+    // A node that hears no stop.
+    let left = plant.session("left").await;
+    let _token = in_time(left.liveliness().declare_token("fleet/node/left/alive")).await;
+    put(&left, "fleet/node/left/status", idle_status()).await;
+    until(&alice, "left", |record| record.alive).await;
+    let stops = in_time(alice.declare_subscriber("fleet/node/left/stop")).await;
+    let stops = stops.expect("declared");
+    // An answer comes behind it: then the router knows what she wants to hear.
+    ask(&alice, "fleet/node/left/state", None).await;
+    put(&bob, "fleet/node/left/stop", "{\"mode\":\"decelerate\"}").await;
+    // Bob's, and behind it the gateway's: after half a second, another half, and a second. One that heard
+    // its own words as a client's would begin to count anew with each.
+    let mut stamps = Vec::new();
+    for _ in 0..4 {
+        let sample = in_time(stops.recv_async()).await.expect("a stop");
+        let stamp = sample.timestamp().expect("the router stamps all");
+        stamps.push(stamp.get_time().to_duration());
+    }
+    let apart: Vec<Duration> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    assert!(apart[2] > Duration::from_millis(900), "{apart:?}");
     in_time(plant.service.shutdown())
         .await
         .expect("a clean end");

@@ -117,10 +117,15 @@ mod tests {
 
     #[test]
     fn a_key_reads_the_same_whether_short_or_long_and_wherever_it_was_cut() {
+        // Miri takes a thousand times as long: it sees some lengths, and those around the border.
+        let stride = if cfg!(miri) { 31 } else { 1 };
         let text = "fleet/node/ä/".repeat(KEY_INLINE_BYTES);
-        for bytes in (0..=KEY_INLINE_BYTES + 2).filter(|at| text.is_char_boundary(*at)) {
+        let looked_at = |bytes: &usize| bytes.is_multiple_of(stride) || *bytes >= KEY_INLINE_BYTES;
+        let lengths = (0..=KEY_INLINE_BYTES + 2).filter(looked_at);
+        for bytes in lengths.filter(|at| text.is_char_boundary(*at)) {
             let whole = &text[..bytes];
-            for cut in (0..=bytes).filter(|at| whole.is_char_boundary(*at)) {
+            let cuts = (0..=bytes).step_by(stride);
+            for cut in cuts.filter(|at| whole.is_char_boundary(*at)) {
                 let key = Key::joined(&whole[..cut], &whole[cut..]);
                 assert_eq!(key, *whole);
                 assert_eq!(key, Key::from(whole.to_string()));

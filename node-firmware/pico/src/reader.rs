@@ -157,6 +157,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "thirty thousand batches")]
     fn input_that_nobody_takes_is_refused_at_the_bound_and_not_half_taken() {
         let mut reader = BatchReader::new(16);
         reader.push(&vec![0; INPUT_BYTES_MAX]).unwrap();

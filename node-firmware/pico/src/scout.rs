@@ -226,7 +226,7 @@ mod tests {
         }
         assert_eq!(scouting.handle_datagram(&question(), ROUTER), None);
         let mut random = Random::new(9);
-        for _ in 0..20_000 {
+        for _ in 0..if cfg!(miri) { 20 } else { 20_000 } {
             let count = random.below(64) as usize;
             let mut bytes = vec![0_u8; count];
             bytes.fill_with(|| random.next_u64() as u8);

@@ -8,7 +8,7 @@ use crate::{
         event::{Effect, ReplyTo},
         submit::{check_script, demand_no_signature, script_of},
     },
-    job::{Ending, Job, JobEntry, new_record},
+    job::{Ending, Job, JobEntry, held_of_script, new_record},
     security::signing,
 };
 use keys::{
@@ -121,7 +121,8 @@ impl Fleet {
         let mut refusals = BTreeMap::new();
         let mut held = self.book.held_commands();
         for (node, commands) in parts {
-            held += commands.len();
+            let script = request.nodes.get(node).and_then(script_of);
+            held += commands.len() + held_of_script(script.as_deref());
             if let Err(error) = self.refusal_of(*node, request, commands, held) {
                 refusals.insert(*node, error);
             }
