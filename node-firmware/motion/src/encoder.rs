@@ -285,8 +285,10 @@ impl Encoder {
                 out.fill.turn = Some(direction);
             }
         }
+        let mut brake_at = self.brake_at();
         while out.left() > 0 && !self.ended {
-            if self.brakes_now(&out) {
+            if out.facts.ticks >= brake_at {
+                brake_at = u32::MAX;
                 self.brake(segments);
             }
             if self.turn == Turn::Filling && out.count == 0 {
@@ -298,7 +300,7 @@ impl Encoder {
                     self.slower_step(speed_mhz, &mut out);
                 }
             } else if self.steps_left > 0 {
-                if self.brakes_within(&out) || !self.run(&mut out) {
+                if self.brakes_within(brake_at, &out) || !self.run(&mut out) {
                     self.step(segments, &mut out);
                 }
             } else {

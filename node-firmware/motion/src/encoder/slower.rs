@@ -14,6 +14,9 @@ use crate::{
     segment::{FRACTION_BITS, SegmentRing},
 };
 
+/// Longest step of a run, ticks, and as much again.
+const RUN_STEP_TICKS_MAX: u32 = 2 * LOW_WORD_TICKS_MAX as u32;
+
 impl Encoder {
     /// Leaves the plan and slows down, no farther than the plan would have gone: `steps_ahead` is
     /// what it had behind the present segment. The ring must be cleared by the caller.
@@ -86,24 +89,30 @@ impl Encoder {
         self.starved
     }
 
-    /// Returns whether the brake has to be taken before anything else is written.
-    #[inline]
-    pub(super) fn brakes_now(&self, out: &Out) -> bool {
-        let now = self.encoded_ticks + u64::from(out.facts.ticks);
-        let brake = self.brake.as_ref();
-        brake.is_some_and(|brake| now >= brake.from_ticks)
+    /// Returns when the brake has to be taken, ticks since what is encoded so far; the greatest number:
+    /// not soon, or where what is written ends.
+    pub(super) fn brake_at(&self) -> u32 {
+        let from_ticks = self
+            .brake
+            .as_ref()
+            .map_or(u64::MAX, |brake| brake.from_ticks);
+        let ahead_ticks = from_ticks.saturating_sub(self.encoded_ticks);
+        u32::try_from(ahead_ticks).unwrap_or(u32::MAX)
     }
 
-    /// Returns whether the brake may have to be taken within so many steps of the present segment.
+    /// Returns whether the brake may have to be taken within the steps of the present segment that there
+    /// is room for.
     #[inline]
-    pub(super) fn brakes_within(&self, out: &Out) -> bool {
-        self.brake.as_ref().is_some_and(|brake| {
-            let count = out.left() as i64;
-            let longest = self.interval.max(self.interval + self.change * count);
-            let ticks = (longest >> FRACTION_BITS).max(0) as u64 * count as u64;
-            let now = self.encoded_ticks + u64::from(out.facts.ticks);
-            now + ticks >= brake.from_ticks
-        })
+    pub(super) fn brakes_within(&self, brake_at: u32, out: &Out<'_>) -> bool {
+        let now = out.facts.ticks;
+        // A step of a run takes one word: mostly that is all there is to ask.
+        if brake_at - now > out.left() as u32 * RUN_STEP_TICKS_MAX {
+            return false;
+        }
+        let count = out.left() as i64;
+        let longest = self.interval.max(self.interval + self.change * count);
+        let ticks = (longest >> FRACTION_BITS).max(0) as u64 * count as u64;
+        u64::from(now) + ticks >= u64::from(brake_at)
     }
 
     /// Takes the brake, if there is one: leaves what is still written of the plan and slows down from

@@ -108,9 +108,10 @@ fn slower(speed: u32, square: u64, lost: u64) -> (u32, u32) {
 
 /// How speed and interval went on in the steps before: what they foretell is exact or next to it.
 ///
-/// While each step loses as much of the speed as the one before, all there is to know of the next one
-/// follows by additions: what the exact square has more than the rounded speed's changes by ever 2·loss²
-/// less, and what the interval leaves over evenly.
+/// While each step loses as much of the speed as the one before, or 1 mHz more or less as the roots are
+/// rounded, all there is to know of the next one follows from that without roots and divisions. With
+/// `over` = v² - speed², what the exact square has more than that of the rounded speed s: a step that
+/// loses L of s makes it over + L·(2s - L) - lost, which is to be from 0 to 2·(s - L).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trend {
     /// Steps that it has seen, up to 2: enough for a trend.
@@ -126,8 +127,10 @@ pub(super) struct Trend {
     /// What the exact square has more than that of the speed behind the last step, mHz²: up to twice that
     /// speed.
     over: u32,
-    /// By how much that became more in the last step, modulo 2³².
+    /// By how much `loss` makes that more where the last step began: L·(2s - L) - lost, modulo 2³².
     gain: u32,
+    /// What the last step lost, mHz: `loss`, or 1 more or less.
+    last: u32,
     /// What its interval times that sum left of [`TWICE`].
     rest: u32,
 }
@@ -135,12 +138,13 @@ pub(super) struct Trend {
 /// A foretold value that is farther off is computed instead.
 const TREND_MISS_MAX: u32 = 4;
 
-/// A step that loses more than this is computed by itself: squares of it have more than 32 bits.
-const GLIDE_LOSS_MAX: u32 = 1 << 15;
+/// A step that loses more than this, or than the root of the speed, is computed by itself: the next one
+/// may lose more by more than 1.
+const GLIDE_LOSS_MAX: u32 = 1 << 14;
 
-/// So are steps of faster speeds, 537 kHz: what is less than nothing by up to the squares of a loss and
-/// twice the speed has to be told, modulo 2³², from what is up to twice the speed.
-const GLIDE_SUM_MAX: u32 = 1 << 30;
+/// So are steps of faster speeds, 268 kHz: what is less than nothing by three such sums has to be told,
+/// modulo 2³², from what is more.
+const GLIDE_SUM_MAX: u32 = 1 << 29;
 
 impl Trend {
     pub(super) const NONE: Self = Self {
@@ -152,6 +156,7 @@ impl Trend {
         sum: 0,
         over: 0,
         gain: 0,
+        last: 0,
         rest: 0,
     };
 
@@ -190,7 +195,7 @@ impl Trend {
         (made, ticks)
     }
 
-    /// Writes steps that lose as much as the one before.
+    /// Writes steps that lose as much as the one before, or 1 mHz more or less.
     #[inline(always)]
     fn glide(
         &mut self,
@@ -200,14 +205,14 @@ impl Trend {
         words: &mut [Symbol],
         word: impl Fn(u32) -> Symbol,
     ) -> (usize, u32) {
-        let known = self.seen > 0 && self.loss < GLIDE_LOSS_MAX && self.sum < GLIDE_SUM_MAX;
-        if !known || self.interval > ticks_max {
+        let known = self.seen > 0 && self.sum < GLIDE_SUM_MAX;
+        let known = known && (1..GLIDE_LOSS_MAX).contains(&self.loss);
+        if !known || self.interval > ticks_max || self.loss * self.loss > *speed {
             return (0, 0);
         }
-        // The sum of the speeds falls by this, and the gain by that.
-        let narrower = 2 * self.loss;
-        let fall = narrower * self.loss;
+        let (loss, twice) = (self.loss, 2 * self.loss);
         let Self {
+            mut last,
             mut interval,
             mut sum,
             mut over,
@@ -216,17 +221,30 @@ impl Trend {
             ..
         } = *self;
         let mut now = *speed;
-        let mut wider = interval * narrower;
         let mut symbol = word(interval);
         let (mut made, mut ticks) = (0, 0);
         for out in words {
-            let next_gain = gain.wrapping_sub(fall);
-            // Less than nothing is a great number, see [`GLIDE_SUM_MAX`].
-            let next_over = over.wrapping_add(next_gain);
-            if now < speed_min || next_over > 2 * (now - self.loss) {
+            if now < speed_min {
                 break;
             }
-            let (next_sum, mut next_rest) = (sum - narrower, rest + wider);
+            let next_gain = gain.wrapping_sub(twice * last);
+            let mut next_over = over.wrapping_add(next_gain);
+            let (mut slower, mut lost) = (now - loss, loss);
+            if next_over > 2 * slower {
+                // The root is another one: less than nothing is left of its square, or too much.
+                if (next_over as i32) < 0 {
+                    (slower, lost) = (slower - 1, loss + 1);
+                    next_over = next_over.wrapping_add(2 * slower + 1);
+                } else {
+                    next_over -= 2 * slower + 1;
+                    (slower, lost) = (slower + 1, loss - 1);
+                }
+                if next_over > 2 * slower {
+                    break;
+                }
+            }
+            let narrower = last + lost;
+            let (next_sum, mut next_rest) = (sum - narrower, rest + interval * narrower);
             if next_rest >= next_sum {
                 let mut next = interval;
                 while next_rest >= next_sum {
@@ -237,19 +255,18 @@ impl Trend {
                     break;
                 }
                 interval = next;
-                wider = interval * narrower;
                 symbol = word(interval);
             }
             (sum, rest) = (next_sum, next_rest);
             (over, gain) = (next_over, next_gain);
-            now -= self.loss;
+            (now, last) = (slower, lost);
             ticks += interval;
             made += 1;
             *out = symbol;
         }
         if made > 0 {
             (self.interval, self.sum, self.rest) = (interval, sum, rest);
-            (self.over, self.gain) = (over, gain);
+            (self.over, self.gain, self.last) = (over, gain, last);
             (self.growth, self.longer) = (0, 0);
             *speed = now;
         }
@@ -266,7 +283,7 @@ impl Trend {
         let loss = speed - slower;
         self.growth = loss.saturating_sub(self.loss);
         self.longer = interval.saturating_sub(self.interval);
-        (self.loss, self.interval) = (loss, interval);
+        (self.loss, self.last, self.interval) = (loss, loss, interval);
         self.seen = 2.min(self.seen + 1);
         // Faster than 1 MHz it does not fit, and is not asked for.
         self.sum = speed.saturating_add(slower);
@@ -379,7 +396,7 @@ mod tests {
                     assert_eq!(word.0, interval, "{alone} {lost}");
                     assert_eq!(u64::from(slower), exact.isqrt(), "{alone} {lost}");
                     sum += interval;
-                    glided += u32::from(before == 2 && slower + trend.loss == alone);
+                    glided += u32::from(before == 2 && (slower + trend.loss).abs_diff(alone) <= 1);
                     alone = slower;
                 }
                 assert_eq!((speed, square, ticks), (alone, exact, sum), "{lost}");
