@@ -283,3 +283,25 @@ fn random_paths_with_random_changes_keep_their_limits_and_their_line() {
         }
     }
 }
+
+#[test]
+fn a_raw_move_that_is_held_again_at_once_is_explained() {
+    let mut bench = Bench::new(config());
+    bench.order([
+        Command::Move {
+            axis: X,
+            delay_us: 279,
+            steps: -49,
+        },
+        ramp(-173, 500, 4_000, TRAPEZOID),
+    ]);
+    bench.run_for(6_000);
+    hold(&mut bench);
+    bench.run_for(700_000);
+    resume(&mut bench);
+    bench.run_for(15);
+    hold(&mut bench);
+    resume(&mut bench);
+    bench.run_to_rest();
+    bench.judged();
+}

@@ -48,25 +48,35 @@ impl Holds {
             let near = before < stand.from + slack && stand.until <= at;
             near && !stand.counted && before < stand.edges.1 && at > stand.edges.0
         };
-        let mut open = None;
+        let mut open = Vec::new();
         let mut any = false;
         for stand in self.0.iter_mut().filter(between) {
             match stand.ticks {
                 Some(ticks) => more = more.saturating_sub(ticks),
-                None => open = Some(stand),
+                None => open.push(stand),
             }
             any = true;
         }
-        match open {
-            // It stood from somewhere within the slack until it was told to go on, and the lead-in.
-            Some(stand) => {
-                let least = (stand.until - stand.from).saturating_sub(slack);
-                stand.ticks = Some(more);
-                stand.edges = (before, at);
-                more >= least && more <= stand.until - stand.from + slack
-            }
-            None => any && more <= limits.skew_ticks,
+        if open.is_empty() {
+            return any && more <= limits.skew_ticks;
         }
+        // It stood from somewhere within the slack until it was told to go on, and the lead-in.
+        let fits =
+            |told: u64, slack: u64| more >= told.saturating_sub(slack) && more <= told + slack;
+        let told = |stand: &Stand| stand.until - stand.from;
+        if let Some(index) = open.iter().position(|stand| fits(told(stand), slack)) {
+            // Another one may show between other edges.
+            open.drain(..index);
+            open.truncate(1);
+        }
+        // Of several, held again before a step was made, only the sum can be told.
+        let count = open.len() as u64;
+        let sum = open.iter().map(|stand| told(stand)).sum();
+        for (index, stand) in open.into_iter().enumerate() {
+            stand.ticks = Some(if index == 0 { more } else { 0 });
+            stand.edges = (before, at);
+        }
+        fits(sum, count * slack)
     }
 
     /// What has ended by then is over.
