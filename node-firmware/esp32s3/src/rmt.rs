@@ -161,8 +161,7 @@ impl Registers for Chip {
     #[inline(always)]
     fn events(&self) -> Events {
         let raw = RMT::regs().int_raw().read();
-        PLACES.iter().fold(Events::default(), |events, place| {
-            let number = place.channel as u8;
+        (0..LAYOUT.transmitters as u8).fold(Events::default(), |events, number| {
             let (reached, ended) = (raw.ch_tx_thr_event(number), raw.ch_tx_end(number));
             Events {
                 reached: events.reached | u8::from(reached.bit_is_set()) << number,
