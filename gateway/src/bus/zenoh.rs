@@ -391,7 +391,7 @@ impl Bus {
     }
 
     /// Puts bytes on a key. On [`Lane::Order`], and on [`Lane::Record`] for a job's record, this
-    /// waits until the peer's link takes them, [`STALLED_PEER_US`] at most; a node's record and a
+    /// waits until the peer's link takes them, [`STALLED_PEER_US`](crate::config::STALLED_PEER_US) at most; a node's record and a
     /// clock probe are dropped instead, the next one says the same.
     pub fn publish(&self, key: &str, payload: Vec<u8>, json: bool, lane: Lane) {
         let (node, topic) = match self.keys.parse(key) {
