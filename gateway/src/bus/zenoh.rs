@@ -391,8 +391,8 @@ impl Bus {
     }
 
     /// Puts bytes on a key. On [`Lane::Order`], and on [`Lane::Record`] for a job's record, this
-    /// waits until the peer's link takes them, [`STALLED_PEER_US`](crate::config::STALLED_PEER_US) at most; a node's record and a
-    /// clock probe are dropped instead, the next one says the same.
+    /// waits until the peer's link takes them, [`STALLED_PEER_US`](crate::config::STALLED_PEER_US) at
+    /// most; a node's record and a clock probe are dropped instead, the next one says the same.
     pub fn publish(&self, key: &str, payload: Vec<u8>, json: bool, lane: Lane) {
         let (node, topic) = match self.keys.parse(key) {
             Some(Topic::Node { node, topic }) => (NodeId::new(node).ok(), Some(topic)),

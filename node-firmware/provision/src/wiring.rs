@@ -23,7 +23,7 @@ pub const PINS_MAX: usize = 32;
 /// Axes of a board that was told no number.
 pub const AXES_DEFAULT: usize = 2;
 
-/// What a pin is for. One byte in a record ([`PinUse::code`]), which has little room.
+/// What a pin is for. One byte in a record (`code`), which has little room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum PinUse {
