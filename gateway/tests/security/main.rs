@@ -26,8 +26,7 @@ use gateway::{
     },
 };
 use keys::{
-    AxisStatus, BatchAck, BatchReader, Features, LocalMicros, NodeState, Order, QueueId, Refusal,
-    Status, Verdict,
+    BatchAck, BatchReader, Order, Refusal, Status, Verdict,
     batch::{BatchWriter, ORDER_BYTES_MAX},
     credentials::Credentials,
     epoch,
@@ -208,26 +207,7 @@ async fn a_node_cannot_speak_as_another_nor_forge_a_record_nor_move_anybody() {
     let left = plant.session("left").await;
     let follow = in_time(alice.declare_subscriber("fleet/job/*")).await;
     let follow = follow.expect("declared");
-    let status = |queue| Status {
-        at: LocalMicros(1),
-        queue,
-        state: NodeState::Idle,
-        stop: None,
-        job: None,
-        accepted_commands: 0,
-        executed_commands: 0,
-        credit_commands: 16,
-        axes: [AxisStatus::default()].into_iter().collect(),
-        faults: [].into_iter().collect(),
-        features: Features::BASIC,
-        firmware: [0, 1, 0],
-        rssi_dbm: None,
-        laser_percent: 0,
-        lidar_mm: None,
-    };
-    let mut buffer = [0; 512];
-    let bytes = version::encode(&status(QueueId { boot: 1, flush: 0 }), &mut buffer);
-    let bytes = bytes.expect("it fits").to_vec();
+    let bytes = stops::idle_status();
     put(&left, "fleet/node/right/status", bytes.clone()).await;
     let vitals = in_time(alice.declare_subscriber("fleet/node/*/vitals")).await;
     let vitals = vitals.expect("declared");

@@ -107,7 +107,7 @@ async fn a_key_that_only_includes_stops_is_denied_and_so_is_what_a_wide_stop_cou
 }
 
 /// The word of a node that is idle.
-fn idle_status() -> Vec<u8> {
+pub(crate) fn idle_status() -> Vec<u8> {
     let status = Status {
         at: LocalMicros(1),
         queue: QueueId { boot: 1, flush: 0 },
