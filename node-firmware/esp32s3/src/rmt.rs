@@ -141,15 +141,6 @@ impl Registers for Chip {
     }
 
     #[inline(always)]
-    fn reached(&self) -> u8 {
-        let raw = RMT::regs().int_raw().read();
-        (0..LAYOUT.transmitters as u8).fold(0, |mask, channel| {
-            let reached = raw.ch_tx_thr_event(channel).bit_is_set();
-            mask | u8::from(reached) << channel
-        })
-    }
-
-    #[inline(always)]
     fn ended(&self) -> u8 {
         let raw = RMT::regs().int_raw().read();
         (0..LAYOUT.transmitters as u8).fold(0, |mask, channel| {

@@ -73,22 +73,13 @@ pub trait Registers {
     /// Reads CHnSTATUS.
     fn status(&self, channel: usize) -> ChannelStatus;
 
-    /// Reads INT_RAW: the channels whose threshold was reached since [`Registers::clear_events`].
-    fn reached(&self) -> u8;
-
     /// Reads INT_RAW: the channels whose end marker was reached since
     /// [`Registers::clear_events`].
     fn ended(&self) -> u8;
 
-    /// Reads INT_RAW: [`Registers::reached`] and [`Registers::ended`]. One access where the chip has
-    /// both in one register, as it should.
-    #[inline(always)]
-    fn events(&self) -> Events {
-        Events {
-            reached: self.reached(),
-            ended: self.ended(),
-        }
-    }
+    /// Reads INT_RAW: the channels whose threshold was reached, and whose end marker was, since
+    /// [`Registers::clear_events`]. One access where the chip has both in one register.
+    fn events(&self) -> Events;
 
     /// Writes INT_CLR: the threshold events of these channels, and their ends too if `ends`.
     fn clear_events(&mut self, channels: u8, ends: bool);

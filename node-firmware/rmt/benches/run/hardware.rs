@@ -150,11 +150,6 @@ impl Registers for Hardware {
         }
     }
 
-    fn reached(&self) -> u8 {
-        self.touch();
-        self.reached
-    }
-
     fn ended(&self) -> u8 {
         self.touch();
         self.ended

@@ -13,7 +13,7 @@
 //! - Every access takes time, in which the transmitters play on.
 #![allow(dead_code, reason = "each test uses a part of it")]
 
-use rmt::{ChannelConfig, ChannelStatus, Registers};
+use rmt::{ChannelConfig, ChannelStatus, Events, Registers};
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 pub(crate) const CHANNELS: usize = 4;
@@ -385,12 +385,16 @@ impl Registers for ModelRegisters {
         })
     }
 
-    fn reached(&self) -> u8 {
-        self.access(|model| model.threshold_events)
-    }
-
     fn ended(&self) -> u8 {
         self.access(|model| model.end_events)
+    }
+
+    /// By two accesses, as a chip with two registers would: an event may come in between.
+    fn events(&self) -> Events {
+        Events {
+            reached: self.access(|model| model.threshold_events),
+            ended: self.ended(),
+        }
     }
 
     fn clear_events(&mut self, channels: u8, ends: bool) {
